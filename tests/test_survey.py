@@ -104,3 +104,14 @@ def test_a_comparison_tells_other_messages_but_for_their_numbers(
     assert [rule in printed for rule in ("first", "second", "third")] == [False, True, True]
     survey.tables(after)
     assert "| error | `third` | 1 | 1 | T 2020 (1) |" in capsys.readouterr().out
+
+
+def test_findings_that_a_rule_makes_alone_agree_with_those_of_the_full_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written({}, tmp_path)
+    assert survey.agree([tmp_path]) == 0
+    of_full_run = {"schema": {"outcome": "error", "why": ["no description"]}}
+    monkeypatch.setattr(survey, "judged", lambda _, *options: {} if options else of_full_run)
+    assert survey.agree([tmp_path]) == 1
+    assert "Base.fmu schema\n  - {'outcome': 'error'" in capsys.readouterr().out

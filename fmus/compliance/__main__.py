@@ -6,8 +6,6 @@ from fmus.compliance.check import main
 from fmus.errors import MissingExtraError
 
 try:
-    status = main()
+    sys.exit(main())
 except MissingExtraError as error:
     sys.exit(f"python -m fmus.compliance: {error}")
-
-sys.exit(status)

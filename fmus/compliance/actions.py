@@ -1,8 +1,7 @@
-"""Small actions, of which scripts are written: calls on an instance, and readings to be compared."""
+"""Actions that scripts consist of: calls on an instance, and readings to be compared."""
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Concatenate, ParamSpec
 
@@ -16,7 +15,7 @@ from fmus.fmi.binding import ERROR
 MOST_VARIABLES = 50  # that are changed in a rule
 _MOST_LEAPT, LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
-_LONGEST_RUN_S = 1.0
+_LONGEST_RUN_S = 1.0  # of CPU time
 P = ParamSpec("P")
 Pair = tuple[Variable, Any]
 
@@ -68,10 +67,11 @@ def pause(script: Script) -> None:
 
 
 def _steps_of_leap(probe: Probe, is_whole: bool = False) -> int:
-    """Returns the number of usual steps in a third of the default experiment, or as many as a leap has."""
+    """Returns the number of usual steps in a third of the default experiment, limited for a leap."""
     most = _MOST_LEAPT // 2 if probe.fmu.is_model_exchange else _MOST_LEAPT
     third = steps_of_experiment(probe) // 3
-    if is_whole and probe.fmu.is_model_exchange:  # a rough step takes about as long as a usual one
+    # a rough step for model exchange takes about as long as a usual one
+    if is_whole and probe.fmu.is_model_exchange:
         return int(min((probe.stop_time - probe.start_time) / probe.step_size / 3 + 1e-6, LEAPS * third))
     return third if is_whole else min(third, most)
 
@@ -89,7 +89,7 @@ def _leap_to(script: Script, end: int) -> None:
 def leap(script: Script, thirds: int, is_whole: bool = False) -> None:
     """Adds a part of the default experiment: usual steps, or few of other sizes for model exchange.
 
-    is_whole: whether it is that of all steps, however many
+    is_whole: whether to take the part of all steps, however many they are
     """
     count, first = _steps_of_leap(script.probe, is_whole) * thirds, script.next_step
     parts = LEAPS if script.probe.fmu.is_model_exchange else 1
@@ -121,7 +121,7 @@ def step(script: Script, count: int = 1, no_going_back: bool = False) -> None:
 
 @_action
 def go_on(script: Script, count: int, observed: Sequence[tuple[str, list[int]]] = ()) -> None:
-    """Adds steps of the default experiment's size in one call, up to the first that fails.
+    """Adds steps of the default experiment's size in one call; the first failed step is the last one.
 
     observed: see `CalledInstance.do_steps`
     """
@@ -138,43 +138,43 @@ def save(script: Script, slot: int = 0) -> None:
 
 @_action
 def restore(script: Script, slot: int = 0) -> None:
-    """Sets a saved state back: the next step is the one that followed when it was saved."""
+    """Sets a saved state back; the next step is the step that followed the save."""
     script.call("set_state", slot)
     script.next_step, script.state = script.saved[slot]
 
 
 @_action
 def copy(script: Script, slot: int, other: int) -> None:
-    """Makes another saved state of the bytes of one."""
+    """Copies a saved state by its bytes."""
     script.call("copy_state", slot, other)
     script.saved[other] = script.saved[slot]
 
 
 @_action
 def read_bytes(script: Script, source: Script) -> None:
-    """Makes a saved state of the bytes of one of another script that was played."""
+    """Makes a saved state of the bytes that another, played script has serialised."""
     script.call("state_of_bytes", 0, source.content)
     script.saved[0] = source.saved[0]
 
 
 @_action
 def set_up(script: Script, stop: int, tolerance: float | None = None, start: int = 0) -> None:
-    """Sets the experiment up, from the communication point of a number to that of another."""
+    """Sets the experiment up, from communication point number `start` to number `stop`."""
     script.call("set_up_experiment", script.probe.point(start), script.probe.point(stop), tolerance)
 
 
 def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
-    """Initialises, with start and stop times as of `set_up`."""
+    """Initialises, with arguments as in `set_up`."""
     return set_up(stop, tolerance, start), enter_initialization_mode, exit_initialization_mode
 
 
 def in_state(name: str) -> Action:
-    """Notes the state that the calls before lead to."""
+    """Notes the state that the preceding calls lead to."""
     return lambda script: setattr(script, "state", name)
 
 
 def set_time(script: Script) -> None:
-    """Sets the time to what it is."""
+    """Sets the time to the present time."""
     script.call("set_time", script.time)
 
 
@@ -192,7 +192,7 @@ def read_all(when: str = "", where: str = "") -> Action:
 
 
 def glance_all(script: Script) -> None:
-    """Reads all variables, which are not compared."""
+    """Reads all variables without comparing them."""
     script.read(script.probe.fmu.variables)
 
 
@@ -232,7 +232,7 @@ def read_as(script: Script, pairs: Sequence[Pair], when: str = "") -> None:
 
 @_action
 def expect(script: Script, *actions: Action) -> None:
-    """Takes what actions read as what is expected later."""
+    """Makes the readings of some actions the expected values of later readings."""
     first = len(script.observed)
     script.write(actions)
     script.expected += script.readings[first:]
@@ -246,19 +246,19 @@ def set_debug_logging(is_on: bool, *categories: str) -> Action:
 
 
 def ignore(*actions: Action) -> Action:
-    """Makes calls whose failure tells nothing."""
+    """Makes calls whose failure is ignored."""
     return lambda script: script.ignored.extend(script.write(actions))
 
 
 def set_values(pairs: Iterable[Pair]) -> Action:
-    """Sets each variable in a call of its own."""
+    """Sets each variable in a separate call."""
     return lambda script: [script.set(v, x) for v, x in pairs]
 
 
 @_action
 def set_point(script: Script, pairs: Iterable[Pair]) -> None:
-    """Sets each variable in a call of its own, but in continuous-time mode the states, if all are given, in
-    one.
+    """Sets each variable in a separate call. In continuous-time mode one call sets the states, if all are
+    given.
     """
     states = list(script.probe.fmu.state_derivatives.values())
     given = {v.index: (v, x) for v, x in pairs}
@@ -296,10 +296,9 @@ def set_derivatives(script: Script, value: float = 1.0) -> None:
 
 
 def error(action: Action, finding: str = "", *statuses: int) -> Action:
-    """Makes a call that returns error, and allows what follows; otherwise nothing is judged, or it is a
-    finding, whose words are those of the reply.
+    """Makes a call that returns error. If it does not, nothing is judged, or `finding` is reported.
 
-    statuses: that it may return, if others
+    finding: a template with the reply; statuses: expected ones in place of error
     """
     expected = statuses or (ERROR,)
     return lambda script: script.errors.extend((reply, finding, expected) for reply in script.write([action]))
@@ -308,7 +307,7 @@ def error(action: Action, finding: str = "", *statuses: int) -> Action:
 def refused_reference(probe: Probe) -> int:
     """Returns an unknown value reference, after the FMU was asked once for its value, whatever it answered.
 
-    Raises NotJudgedError if that ended the process, which `wrong-references-are-refused` tells.
+    Raises NotJudgedError if that ended the process: `wrong-references-are-refused` reports it.
     """
     reference = values.unknown_reference(probe.fmu)
     asked = probe.script(begin, forbidden, call("get", "Real", [reference]))
@@ -322,7 +321,7 @@ def fail(script: Script) -> None:
 
 
 def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Script:
-    """Returns a script of actions, played once for all rules; a call that fails ends nothing."""
+    """Returns a script of actions, played once for all rules; a failed call does not stop it."""
     script = probe.script(*actions, **options)
     probe.play_once([script])
     return script
@@ -331,7 +330,7 @@ def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Script:
 def over_the_experiment(probe: Probe) -> Script:
     """Returns a run with the stop time of the default experiment, if it has one, all variables read a few
     times and numbers among the outputs after each step; up to that time, or as far as steps take about a
-    second.
+    second of CPU time.
     """
     stop = probe.stop_time if math.isfinite(probe.stop_time) else None
     groups = itertools.groupby(comparable_outputs(probe), lambda v: v.base_kind)
@@ -348,7 +347,7 @@ def over_the_experiment(probe: Probe) -> Script:
 
 def steps_of_experiment(probe: Probe) -> int:
     """Returns the number of usual steps up to the stop time of the default experiment, or of those that take
-    about a second; measured once for all rules. Raises NotApplicableError where they are few.
+    about a second of CPU time; measured once for all rules. Raises NotApplicableError where they are few.
     """
 
     def measured() -> int:
@@ -357,20 +356,19 @@ def steps_of_experiment(probe: Probe) -> int:
         first = min(steps, _MEASURED_STEPS)
         if first < _FEWEST_STEPS:
             raise NotApplicableError("the default experiment has too few steps")
-        script = probe.script(begin, go_on(first))
-        start = time.monotonic()
+        script = probe.script(call("cpu_time"), begin, go_on(first), call("cpu_time"))
         probe.play_each([script])
-        seconds = (time.monotonic() - start) / first
         # for model exchange, the run of events reaches the stop time
         part = 4 if probe.fmu.is_model_exchange else 1
-        budget = min(_LONGEST_RUN_S / part, (probe.process.deadline - time.monotonic()) / 10)
-        return min(steps, _MOST_STEPS // part, max(first, int(budget / seconds)))
+        budget = min(_LONGEST_RUN_S / part, probe.process.limit / 10)
+        count = int(budget * first / script.cpu_time)
+        return min(steps, _MOST_STEPS // part, max(first, count))
 
     return probe.once("run of many steps", measured)
 
 
 def comparable_outputs(probe: Probe) -> list[Variable]:
-    """Returns the outputs of which one value is the least, and one the largest, by type."""
+    """Returns the outputs that have a least and a largest value, ordered by type."""
     return [v for kind in ("Real", "Integer", "Boolean") for v in probe.outputs if v.base_kind == kind]
 
 
@@ -380,8 +378,8 @@ def others_accepted(probe: Probe, variables: Sequence[Variable], *before: Action
 
 
 def others_in_turn(probe: Probe, variables: Sequence[Variable], *before: Action) -> Iterator[list[Pair]]:
-    """Yields sets of variables and values that the FMU accepts at once after some actions: those near the
-    start values first, then each of those far from them.
+    """Yields sets of variables and values that the FMU accepts at once after some actions: first values near
+    the start values, then sets of far values.
     """
     ways = ([(v, x) for x in (values.other_value(v), *values.far_values(v))] for v in variables)
     for some in itertools.zip_longest(*ways):

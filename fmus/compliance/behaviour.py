@@ -1,9 +1,8 @@
-"""Judge rules of behaviour in another process: a crash or a hang of the FMU is a finding."""
+"""Judge rules of behaviour in a process of the FMU: its crash or hang is a finding."""
 
 import errno
 import re
 import tempfile
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,7 +11,7 @@ from pathlib import Path
 from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
 from fmus.compliance.fmu_process import START_S
-from fmus.compliance.probe import NO_INSTANCE, Probe, Shared
+from fmus.compliance.probe import NO_INSTANCE, Probe, Shared, lacks_licence
 from fmus.compliance.rule import (
     CANNOT_LOAD,
     IS_BROKEN,
@@ -26,6 +25,7 @@ from fmus.compliance.rule import (
     defect,
     messages_of,
     registered,
+    without_folders,
 )
 from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.errors import HostError, MissingExtraError
@@ -37,15 +37,15 @@ FUNDAMENTAL = (
     "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
     "runs-are-repeatable",
 )  # fmt: skip
-"""Without these no behaviour is judged: what else would be found has the same cause."""
+"""Rules without which no behaviour is judged: further findings would have the same cause."""
 ENDED = "the FMU ended the process with"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
 DEFAULT_TIMEOUT_S = 30.0
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
-_AFTER_OTHERS = "instances-follow-each-other"
-# by what these find, others are not judged
+OF_INSTANCES = _AFTER_OTHERS, _SEVERAL = "instances-follow-each-other", "several-instances"
+# what these find keeps later rules from reporting it again
 _OF_CALLS = "allowed-calls-succeed", "statuses-are-legal", "wrong-references-are-refused"
 _FIRST = *FUNDAMENTAL, _AFTER_OTHERS, *_OF_CALLS
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
@@ -56,7 +56,7 @@ _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO",
 def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Result:
     """Returns the result of a rule on an FMU as a file, or in a process that calls it.
 
-    is_random: whether the outputs of the FMU are random, and only calls that fail or crash are told
+    is_random: whether the outputs of the FMU are random, so that only failed calls and crashes are findings
     """
     try:
         if isinstance(subject, FmuFile) and (reason := rule.condition(subject)):
@@ -67,10 +67,11 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
     except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
     except (NotJudgedError, DefectError) as reason:
-        return Result(rule, not_judged=str(reason))
+        return Result(rule, not_judged=without_folders(str(reason)))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))
-    except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
+    except (CallError, BrokenMemberError) as error:
+        # no answer of an FMU may stop the check: it is a finding
         return Result(rule, messages_of([str(error)]))
     except Exception as error:
         return Result(rule, not_judged=defect(error))
@@ -85,15 +86,18 @@ def behaviour(
     timeout: seconds for one rule
     of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
     process of the FMU has ended
-    names: of the rules that are judged, with those that they need; all by default
+    names: of the rules that are judged, with those that they need; all by default. Broken ones of
+    `OF_INSTANCES` are yielded too
     """
     rules = [rule for rule in registered(Stage.BEHAVIOUR) if names is None or rule.name in names]
     halves = {
         interface: _of_interface(fmu.judged_as(interface), rules, timeout, of_libraries)
         for interface in fmu.interfaces or [CO_SIMULATION]
     }
-    for rule in rules:
-        yield _joined(rule, {interface: results[rule.name] for interface, results in halves.items()})
+    for rule in registered(Stage.BEHAVIOUR):
+        of_rule = {kind: results.get(rule.name, Result(rule)) for kind, results in halves.items()}
+        if rule in rules or (rule.name in OF_INSTANCES and any(half.messages for half in of_rule.values())):
+            yield _joined(rule, of_rule)
 
 
 def _of_interface(
@@ -134,7 +138,7 @@ def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
 
 
 def _clause(rule: Rule, interface: str) -> str:
-    """Returns the sections that a rule names, less those of the chapter of the other interface."""
+    """Returns the sections that a rule names, without the chapter of the other interface."""
     sections = re.split(r", (?=\d\.)", rule.clause)
     other = "4." if interface == MODEL_EXCHANGE else "3."
     return ", ".join(s for s in sections if not s.startswith(other)) or rule.clause
@@ -143,10 +147,11 @@ def _clause(rule: Rule, interface: str) -> str:
 def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Rule]:
     """Returns rules and those that they need, each after those, and the last ones at the end.
 
-    A rule that is judged last looks at the calls of all others.
+    A rule that is judged last looks at the calls of all others, and what others find may be a finding about
+    instances.
     """
     names = [rule.name for rule in chosen if rule.name in applicable]
-    if any(rule.last for rule in chosen):
+    if any(rule.last or rule.name in OF_INSTANCES for rule in chosen):
         names = list(applicable)
     ordered: dict[str, Rule] = {}
 
@@ -170,7 +175,7 @@ def obstacle(fmu: FmuFile) -> str:
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
-    """Returns the variable that no function can read: rules of the description tell what is wrong with it."""
+    """Returns a variable that no function can read, for a reason that rules of the description report."""
     broken = (v for v in fmu.variables if v.reference is None or v.base_kind not in KINDS)
     return next((f"{v.name or 'a variable'} has no legal value reference or type" for v in broken), "")
 
@@ -184,8 +189,10 @@ class _Judge:
     def __init__(self, fmu: FmuFile, timeout: float, of_libraries: Callable[[], Sequence[Result]]) -> None:
         self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
         self._folder = Path()
-        self._is_alone = False  # whether each instance has a process of its own from now on
+        self._is_alone = False  # whether each instance has its own process from now on
         self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
+        self._applicable = dict[str, Rule]()
+        self._vanished = dict[str, list[Result]]()  # rule about instances -> errors that are its own
         self.results: dict[str, Result] = {}
 
     def judge(self, chosen: Sequence[Rule]) -> None:
@@ -193,13 +200,22 @@ class _Judge:
 
         After a crash or a hang a new process goes on with the next rule.
         """
-        fmu, applicable = self._fmu, dict[str, Rule]()
+        fmu, applicable = self._fmu, self._applicable
         for rule in registered(Stage.BEHAVIOUR):
             if reason := _other_interface(rule, fmu) or rule.condition(fmu):
                 self.results[rule.name] = Result(rule, not_applicable=reason)
             else:
                 applicable[rule.name] = rule
         rules = _in_order(chosen, applicable)
+        self._judge_each(rules)
+        for name, (first, *others) in self._vanished.items():
+            more = f" and {len(others)} more rules" if others else ""
+            words = f"only after other instances in the process, found by {first.rule.name}{more}"
+            if name not in self.results or not self.results[name].messages:
+                self.results[name] = Result(self._applicable[name], (f"{first.messages[0]}; {words}",))
+
+    def _judge_each(self, rules: Sequence[Rule]) -> None:
+        """Judges rules in as many processes as it takes."""
         with host_errors(), _temporary_folder() as temporary:
             self._folder = Path(temporary, "unpacked")
             reason = self._unpack()
@@ -213,36 +229,37 @@ class _Judge:
                 self._judge_formats_after_a_crash(remaining)
 
     def _unpack(self) -> str:
-        """Unpacks the FMU; returns the reason why it cannot be: `archive-is-zip` tells more."""
+        """Unpacks the FMU; returns the reason why it cannot be unpacked. `archive-is-zip` reports more."""
         try:
             with host_errors():
-                extract_archive(self._fmu.path, self._folder)  # zipfile keeps odd paths inside it
+                # zipfile keeps odd paths inside the folder
+                extract_archive(self._fmu.path, self._folder)
         except HostError:
             raise
-        except Exception as error:  # an archive that is damaged anywhere
-            return f"it cannot be unpacked: {error}"
+        except Exception as error:
+            # zipfile raises many kinds of errors for a damaged archive
+            return f"it cannot be unpacked: {without_folders(str(error))}"
         return ""
 
     def _judge_in_one_process(self, rules: Sequence[Rule]) -> None:
-        """Judges rules up to the first that the process does not survive, or after which none will do."""
+        """Judges rules up to the first that ends the process, or makes it unfit for others."""
         is_alone = self._is_alone
-        for result in self._results(rules, is_alone):
-            shown = (message.replace(f"{self._folder}/", "") for message in result.messages)
-            self.results[result.rule.name] = replace(result, messages=tuple(shown))
-            if not is_alone:
-                self._judge_without_instances_before(result)
-            if self._is_alone != is_alone:
+        for result in self._results(rules, is_alone, self._shared[is_alone]):
+            self.results[result.rule.name] = result
+            judge_again = self._judge_alone if self._fmu.claims(ONLY_ONCE) else self._confirm
+            if not is_alone and judge_again(result):
                 return
 
-    def _results(self, rules: Sequence[Rule], is_alone: bool = False) -> Iterator[Result]:
+    def _results(self, rules: Sequence[Rule], is_alone: bool, shared: Shared) -> Iterator[Result]:
         """Yields results, up to the first rule that a new process does not survive, but one at least."""
-        probe = Probe(self._fmu, self._folder, self._shared[is_alone], is_alone)
+        probe = Probe(self._fmu, self._folder, shared, is_alone)
         rule, limit = rules[0], START_S
         try:
-            probe.process.calls([])  # it has started
+            # the start of the interpreter does not count for the first rule
+            probe.process.calls([])
             limit = self._timeout
             for rule in rules:
-                probe.process.deadline = time.monotonic() + limit
+                probe.process.allow(limit)
                 yield self._result(rule, probe)
         except TimeoutError:
             if probe.process.hangs(limit):
@@ -255,18 +272,15 @@ class _Judge:
             probe.process.close()
 
     def _ended(self, rule: Rule, what: str, probe: Probe) -> Result:
-        """Returns the finding of a call that ends the process or the time, once: of the first of the rules
-        that are as severe.
+        """Returns the finding of a call that ends the process or exceeds the time limit. The same call is a
+        finding of the first rule alone, unless a later one is more severe.
         """
-        follow = self.results.get(_AFTER_OTHERS)
-        if what.startswith(ENDED) and follow and follow.messages and not probe.process.one_instance:
-            return Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")
         call, severity = probe.process.call_under_way, list(Level)
         message = f"{what}, in {call}" if call else what
         others = (r.rule for r in self.results.values() if message in r.messages and r.rule is not rule)
         severe = [o.name for o in others if severity.index(o.level) <= severity.index(rule.level)]
         if call and severe:
-            return Result(rule, not_judged=f"{call} does not return, which {severe[0]} tells")
+            return Result(rule, not_judged=f"{call} does not return, as {severe[0]} reports")
         return Result(rule, (message,))
 
     def _result(self, rule: Rule, probe: Probe) -> Result:
@@ -276,35 +290,47 @@ class _Judge:
             return Result(rule, not_judged=min(others))
         return judged(rule, probe, is_random=RANDOM in reasons and rule.name != _RANDOM_RUNS)
 
-    def _judge_without_instances_before(self, result: Result) -> None:
-        """Judges a rule again where no instance was before, as 4.3.1 lets an FMU ask for, if it may matter.
-
-        An instance that is refused, or crashes, because of others before it is a finding of one rule.
+    def _confirm(self, result: Result) -> bool:
+        """Judges a broken rule again with none of the runs before, and keeps that result; returns whether
+        another process goes on, as runs before have changed this one.
         """
-        rule, follow = result.rule, self.results.get(_AFTER_OTHERS)
-        texts = *result.messages, result.not_judged  # the latter where it speaks of a licence
-        refusal = next((text for text in texts if _gives_no_instance(text)), "")
-        only_once = self._fmu.claims(ONLY_ONCE)
-        is_after_others = follow and not follow.not_judged and follow.rule is not rule
-        if not (result.messages if only_once else refusal and is_after_others):
-            return
-        alone = self.results[rule.name] = next(self._results([rule], is_alone=True))
-        self._is_alone = bool(refusal) and refusal not in (*alone.messages, alone.not_judged)
-        is_error = rule.level is Level.ERROR  # others may have made calls that FMI forbids
-        is_told = only_once or refusal == result.not_judged
-        if self._is_alone and is_error and follow and not (is_told or follow.messages):
-            self.results[_AFTER_OTHERS] = Result(
-                follow.rule, (f"{rule.name}, after other instances: {refusal}",)
-            )
+        rule, refusal = result.rule, _refusal(result)
+        # nothing was played before the first rules; the last ones look at what all others played
+        is_kept = rule.last or rule.name in (*FUNDAMENTAL[:2], *OF_INSTANCES)
+        if refusal:
+            is_kept = rule.name == _AFTER_OTHERS or _AFTER_OTHERS not in self.results
+        if is_kept or not (result.messages or refusal):
+            return False
+        shared = self._shared[False].for_a_new_process(rule.name)
+        again = next(self._results([rule], False, shared))
+        if refusal and refusal == _refusal(again):
+            again = next(self._results([rule], True, self._shared[True]))
+        self.results[rule.name] = again
+        has_vanished = refusal != _refusal(again) if refusal else not again.messages
+        if has_vanished:
+            self._shared[False] = shared
+            if result.messages and rule.level is Level.ERROR:
+                self._vanished.setdefault(_AFTER_OTHERS if refusal else _SEVERAL, []).append(result)
+        return has_vanished
+
+    def _judge_alone(self, result: Result) -> bool:
+        """Judges a broken rule again with one instance per process, as 4.3.1 lets an FMU claim; returns
+        whether all rules are judged so from now on, as the FMU refuses instances after others.
+        """
+        if result.messages:
+            again = next(self._results([result.rule], True, self._shared[True]))
+            self.results[result.rule.name] = again
+            self._is_alone = _refusal(result) != _refusal(again)
+        return self._is_alone
 
     def _judge_formats_after_a_crash(self, rules: Sequence[Rule]) -> None:
-        """Judges the rule of formats if the last rule ended the process: it may be the cause."""
+        """Judges the rule of formats if the last rule ended the process: a wrong format may be the cause."""
         last = list(self.results.values())[-1]
         formats = next((rule for rule in rules if rule.name == _FORMATS), None)
         if not formats or _FORMATS in self.results or not _has_ended(last):
             return
         del self.results[last.rule.name]
-        result = next(self._results([formats]))
+        result = next(self._results([formats], False, self._shared[False]))
         if result.messages and not _has_ended(result):
             self.results[_FORMATS] = result
             last = Result(last.rule, not_judged=f"{_FORMATS}{IS_BROKEN}")
@@ -332,8 +358,13 @@ class _Judge:
         return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")
 
 
-def _gives_no_instance(text: str) -> bool:
-    return text.startswith(NO_INSTANCE) or (text.startswith(ENDED) and ", in fmi2Instantiate(" in text)
+def _refusal(result: Result) -> str:
+    """Returns the reason why there was no instance, also for a licence; "" if there was one."""
+
+    def is_refusal(text: str) -> bool:
+        return text.startswith(NO_INSTANCE) or (text.startswith(ENDED) and ", in fmi2Instantiate(" in text)
+
+    return next(filter(is_refusal, (*result.messages, result.not_judged)), "")
 
 
 def _has_ended(result: Result) -> bool:
@@ -344,14 +375,16 @@ def _breach(result: Result) -> str:
     """Returns the reason why what needs a rule is not judged: it is broken, or is not judged itself."""
     if result.messages:
         return f"{result.rule.name}{IS_BROKEN}"
-    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
-    return result.not_judged if is_of_all else ""
+    reason = result.not_judged
+    is_of_all = reason.startswith(CANNOT_LOAD) or reason.endswith((IS_BROKEN, RANDOM))
+    return reason if is_of_all or lacks_licence(reason) else ""
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     try:
         return tempfile.TemporaryDirectory(prefix="fmu-check-", ignore_cleanup_errors=True)
-    except OSError as error:  # also FileNotFoundError, where no folder takes a file
+    except OSError as error:
+        # also FileNotFoundError, if no folder for temporary files can be written
         raise HostError(f"{error}: expected a folder for temporary files") from error
 
 

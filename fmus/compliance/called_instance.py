@@ -1,4 +1,4 @@
-"""One instance of an FMU under examination: every call is made as asked for, also one that FMI forbids."""
+"""One instance of an FMU under examination; it makes every call, including calls that FMI forbids."""
 
 import ctypes
 import math
@@ -27,7 +27,7 @@ def _kind(function: str) -> tuple[bool, bool]:
 
 
 def _overwrite(buffers: Sequence[Any]) -> None:
-    """Overwrites strings that were arguments of a call: the FMU may not look at them any more."""
+    """Overwrites strings that were arguments of a call: the FMU may no longer read them."""
     for buffer in buffers:
         ctypes.memset(buffer, ord("#"), len(buffer) - 1)
 
@@ -53,7 +53,7 @@ class CalledInstance(parts.StateSlots):
       callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
         "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
-      interface: fmi2Type, if not that of this class
+      interface: fmi2Type, by default the interface of this class
       watched: whether settings of the process are compared before and after each call
     announce: gets each call before it is made, as a text
     function, mode: the latest that was called, and the latest that changed the state
@@ -115,7 +115,7 @@ class CalledInstance(parts.StateSlots):
         self._announce(f"{function}({str(shown)[1:-1]}){self._after}")
 
     def note(self, what: str, is_so: bool) -> None:
-        """Notes what the FMU did wrong, if so, for `changed_settings`."""
+        """Notes a fault of the FMU, if there is one, for `changed_settings`."""
         if is_so:
             self._noted.add((what, self.function, ""))
 
@@ -153,9 +153,9 @@ class CalledInstance(parts.StateSlots):
         return messages
 
     def changed_settings(self) -> list[list[str]]:
-        """Returns [setting, before, after] of those changed since the FMU was loaded, and sets them back.
+        """Returns [setting, before, after] of each setting changed since the FMU was loaded, and restores it.
 
-        Of what was noted, the function is in the place of the value before.
+        Noted faults have the function in the place of the value before.
         """
         changed = [*self._settings.changed(), *map(list, sorted(self._noted))]
         self._noted.clear()
@@ -184,7 +184,7 @@ class CalledInstance(parts.StateSlots):
         return values
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
-        """Advances from t to t + h seconds; a pending step is waited for. Returns no reason."""
+        """Advances from t to t + h seconds, and waits for a pending step. Returns no reason."""
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == binding.PENDING:
             self.note(PENDED, True)
@@ -194,11 +194,11 @@ class CalledInstance(parts.StateSlots):
     def do_steps(
         self, start: float, h: float, first: int, count: int, observed: Sequence[tuple[str, list[int]]] = ()
     ) -> str | list[list[Any]]:
-        """Makes equal steps of h seconds, from number `first` after the start, up to one that fails.
+        """Makes equal steps of h seconds, from number `first` after the start, until one fails.
 
         observed: types with value references, which are read after each step
         Returns the reason of a step that is discarded, as `do_step` does, or each value that was observed
-        with the times at which it was least and largest: [least, time, largest, time].
+        with the times of its least and largest value: [least, time, largest, time].
         """
         extremes: list[list[Any]] = []
         for i in range(first, first + count):
@@ -214,6 +214,10 @@ class CalledInstance(parts.StateSlots):
                     extreme[2:] = value, t
         return extremes if observed else ""
 
+    def cpu_time(self) -> float:
+        """Returns the CPU time of this process [s], which does not depend on the load of the machine."""
+        return time.process_time()
+
     def wait(self) -> None:
         """Waits until a pending step has ended; the time limit of the rule ends a wait without end."""
         status = ctypes.c_int(binding.PENDING)
@@ -221,7 +225,8 @@ class CalledInstance(parts.StateSlots):
             time.sleep(0.001)
             self.call("fmi2GetStatus", binding.DO_STEP_STATUS, ctypes.byref(status))
             if self.last_status:
-                self.last_status = binding.ERROR  # there is no status, which is no discarded step
+                # without a status the step is not a discarded one
+                self.last_status = binding.ERROR
                 return
         self.last_status = status.value
 

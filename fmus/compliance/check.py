@@ -134,12 +134,11 @@ def _refuse_wrong_use(fmus: Sequence[Path], baseline: Path | None, write_baselin
     if baseline and not write_baseline and not baseline.is_file():
         raise ValueError(f"--baseline {baseline}: no such file: write it once with --write-baseline")
     if baseline and (names := repeated(path.name for path in fmus)):
-        raise ValueError(
-            f"--baseline: FMUs of one name, {', '.join(names)}: expected others, as it knows them"
-        )
+        raise ValueError(f"--baseline: FMUs of one name, {', '.join(names)}: expected different names")
     for path in fmus:
         if not path.is_file():
-            describe(path)  # the error names the nearest FMU
+            # its error names the nearest FMU
+            describe(path)
 
 
 def _refuse_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[Path | None]) -> None:
@@ -149,7 +148,7 @@ def _refuse_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[Path | 
         if path and path.is_dir():
             raise ValueError(f"{option} {path}: it is a folder: expected a file")
         if path and path.resolve() in used:
-            raise ValueError(f"{option} {path}: it is used otherwise: expected a file of its own")
+            raise ValueError(f"{option} {path}: it is another input or output: expected a separate file")
         used += [path.resolve()] if path else []
 
 

@@ -1,4 +1,4 @@
-"""One oracle for rules that compare two runs: a row holds a usual and a varied one, one function judges."""
+"""Rules that compare two runs: a row holds a usual and a varied run, and one function judges all rows."""
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from fmus.fmi.binding import DISCARD
 
 ROUNDING = 1e-9  # relative: of values that are computed again
 _SLOT = 1000  # of a saved state, which no row uses
-OF_EXPERIMENT = None  # tolerance of a row: that of the default experiment
+OF_EXPERIMENT = None  # tolerance of a row: the tolerance of the default experiment
 
 
 class Start(NamedTuple):
@@ -38,11 +38,11 @@ class Row:
     when: words for the variation, in messages; failing: for a call that fails, if others; {state} is replaced
     usual: actions; what they read is expected, after what the varied run itself expects, and over again;
       None for as many steps as outputs are read
-    tolerance: relative; None is that of the default experiment
+    tolerance: relative; None: the tolerance of the default experiment
     options: of the instance, or of those beside it, if there are any; beside: actions on other instances,
       which take turns with it; those with none are created before it
     may_fail: whether the FMU may refuse a call, and then nothing can be compared
-    again: what is expected, in words, of a value
+    again: template of the expected value in messages
     start: where its runs begin
     """
 
@@ -59,7 +59,7 @@ class Row:
 
 
 def differential(clause: str, **options: Any) -> Callable[[Callable[[Probe], Iterable[Row]]], Check]:
-    """Makes a function that yields rows a rule: its docstring is what the rule claims.
+    """Makes a function that yields rows a rule; its docstring is the claim of the rule.
 
     options: of `behaviour_rule`
     """
@@ -75,14 +75,16 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
     for row in rows:
         try:
             written += _crossed(probe, row)
-        except NotJudgedError as reason:  # a call that it needs is not known
+        except NotJudgedError as reason:
+            # the row needs a call that is not known, such as one that returns error
             reasons.append(reason)
     count = len(written) + len(reasons)
     probe.play_once([usual for _, usual, _ in written if usual.calls])
     try:
         probe.play_once([plays[0] for row, _, plays in written if not row.beside])
     except CallError as error:
-        if not written[0][0].options:  # then it is the finding of another rule, or of all
+        # without options the same error is a finding of other rules
+        if not written[0][0].options:
             raise
         yield f"{_failing(written[0][0])}: {error}"
         return
@@ -123,7 +125,7 @@ def late_lead(probe: Probe) -> Sequence[Action]:
 
 
 def _other_starts(probe: Probe) -> Iterator[Start]:
-    """Yields the first of some states late in a run that can be gone on from."""
+    """Yields the first of some states late in a run from which the run can continue."""
     back, saves = (do.save(_SLOT), do.step(), do.restore(_SLOT), do.free_state(_SLOT)), "canGetAndSetFMUstate"
     excited = [(" with other inputs", do.excite(lead)) for lead in [excitations(probe).lead] if lead]
     for words, lead in (*excited, ("", do.leap(2))):
@@ -136,7 +138,7 @@ def _other_starts(probe: Probe) -> Iterator[Start]:
 
 
 def _is_steady(probe: Probe, lead: Sequence[Action], usual: Sequence[Action]) -> bool:
-    """Whether no call of a run fails that goes on after some actions, and it is as after the usual ones."""
+    """Whether a run continues after some actions without a failed call, and as after the usual ones."""
     read = do.read_all(), do.step(8), do.read_all()
     row = Row("", (do.begin, *lead, *read), (do.begin, *usual, *read), tolerance=OF_EXPERIMENT)
     try:
@@ -161,7 +163,7 @@ def _write(probe: Probe, row: Row) -> tuple[Row, Script, list[Script]]:
 
 
 def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> Iterator[str]:
-    """Yields what differs, in plays of a row that were played: its varied one, and those beside it.
+    """Yields the differences of the played runs of a row: the varied one and those beside it.
 
     Raises NotJudgedError where the usual run fails, or the varied one in what may fail.
     """
@@ -172,7 +174,7 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
         raise NotJudgedError("no call that returns error is known")
     for play in (play for play in plays if play is plays[0] or play.observed):
         failure = play.failure
-        # which discard is illegal `statuses-are-legal` tells
+        # `statuses-are-legal` reports an illegal discard
         is_discarded = failure and failure.status == DISCARD and probe.fmu.is_model_exchange
         if failure and (row.may_fail or is_discarded):
             raise NotJudgedError(f"a call fails that may: {failure.problem}")
@@ -201,7 +203,7 @@ def _unlike(probe: Probe, row: Row, usual: Script, play: Script) -> Iterator[str
 
 
 def _unsteady(probe: Probe) -> set[str]:
-    """Returns the names of the variables that differ from instance to instance: clocks of the computer."""
+    """Returns the names of the variables that differ between instances, such as clocks of the computer."""
 
     def names() -> set[str]:
         run = do.begin, *(do.step(), do.read(probe.fmu.variables)) * 3

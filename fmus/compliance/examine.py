@@ -1,11 +1,11 @@
-"""Judge an FMU by every rule, stage after stage. Nothing that a file holds makes it raise."""
+"""Judge an FMU by every rule, stage after stage. No content of the file raises an error."""
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, FUNDAMENTAL, behaviour, judged
+from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, FUNDAMENTAL, OF_INSTANCES, behaviour, judged
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
 from fmus.compliance.rule import SCHEMA, Result, Stage, registered
@@ -19,10 +19,29 @@ def examine(
 ) -> list[Result]:
     """Returns one result for every rule, in the order of `all_rules`.
 
-    timeout: seconds that one behaviour, or LIEF for one library, may take; names: of the rules that are
-    judged, all by default. Where one of these is not judged, broken ones of `GATES` are told too. The process
-    of LIEF stays for the next FMU until `close_reader`, or the end of this process. Raises OSError if there
-    is no such file, MissingExtraError without LIEF.
+    The process of LIEF stays for the next FMU until `close_reader`, or the end of this process.
+
+    Parameters
+    ----------
+    path
+        The FMU.
+    timeout
+        Longest time [s] of one rule of behaviour, and of LIEF for one library.
+    names
+        Names of the rules to be judged, by default all.
+
+    Returns
+    -------
+    list of Result
+        Results of these rules, and broken rules of `OF_INSTANCES`; where a chosen rule is not judged, also
+        broken rules of `GATES`.
+
+    Raises
+    ------
+    OSError
+        If the file does not exist.
+    MissingExtraError
+        Without LIEF.
     """
     check_lief()
     with path.open("rb"):
@@ -30,25 +49,27 @@ def examine(
     of_archive = None if names is None else {*names, *GATES}
     runs = names is None or any(rule.name in names for rule in registered(Stage.BEHAVIOUR))
     try:
-        with suppress(Exception):  # which is told when its libraries are judged
+        # the rules of libraries report any error
+        with suppress(Exception):
             if runs and not (_unread(fmu) or no_library(fmu)):
                 start_reading(fmu, timeout)
         of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
         of_libraries = cache(lambda: list(static_results(fmu, (Stage.LIBRARY,), None if runs else names)))
         of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names))
     except BaseException:
-        close_reader()  # its answers nobody will receive
+        # nobody will receive its answers
+        close_reader()
         raise
     results = [*of_files, *of_libraries(), *of_behaviour]
     shown = {result.rule.name for result in results} if names is None else {*names}
-    told = GATES if any(r.not_judged for r in results if r.rule.name in shown) else ()
+    told = (*OF_INSTANCES, *(GATES if any(r.not_judged for r in results if r.rule.name in shown) else ()))
     return [r for r in results if r.rule.name in shown or (r.rule.name in told and r.messages)]
 
 
 def static_results(
     fmu: FmuFile, stages: Sequence[Stage] = _STATIC, names: Collection[str] | None = None
 ) -> Iterator[Result]:
-    """Yields one result for every rule of what the file holds: no code of the FMU runs.
+    """Yields one result for every rule of the file's contents, without running code of the FMU.
 
     names: of the rules that are judged, all by default
     """

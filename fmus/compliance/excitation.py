@@ -1,7 +1,6 @@
-"""Runs in which inputs and tunable parameters change: their values by lot, and where such runs lead."""
+"""Runs in which inputs and tunable parameters have random values, and the states that they lead to."""
 
 import random
-import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -15,13 +14,13 @@ from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.variable import Variable
 
-_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 24, 4, 3.0  # runs; in a row that show nothing new; all
+_MOST_RUNS, _MOST_VAIN, _LONGEST_S = 24, 4, 3.0  # runs; in a row that show nothing new; CPU time of all
 _CHANGING, _SLIGHT = 0.5, 0.1  # share of values that change in a part, and part by which some do
 _LATE = range(4, 7)  # of eight parts of a run: some is left for what follows
 _KINDS = 3  # of runs: inputs that change slightly, or far; and parameters and the first states, too
 _INSIDE = 0.9  # of the way to a far start value of a state, which may be a limit
 _CHOSEN = 6  # runs
-_MOST_VALUES = 8  # of a variable that tells cases apart, not one that counts
+_MOST_VALUES = 8  # of a variable that distinguishes cases; a counter has more
 Sets = Sequence[Sequence[do.Pair]]
 _Case = tuple[str, Any]  # name and value of a discrete variable
 
@@ -54,7 +53,7 @@ class Excitations(NamedTuple):
 
 def excitations(probe: Probe) -> Excitations:
     """Returns runs in which inputs and tunable parameters have values by lot: those at the start, and others
-    that the FMU accepts. There is none where there are no others, or where calls of usual runs fail.
+    that the FMU accepts. There are no runs without other values, or where calls of usual runs fail.
     """
 
     def chosen() -> Excitations:
@@ -78,34 +77,30 @@ def _runs(probe: Probe) -> list[_Run]:
     others = [*chain(*far)]
 
     def ways(pairs: Sequence[do.Pair], variables: Sequence[Variable] = chosen) -> list[list[do.Pair]]:
-        return [
-            [(v, x), *(pair for pair in pairs if pair[0] is v)] for v, x in values.start_values(variables)
-        ]
+        return [[(v, x), *(p for p in pairs if p[0] is v)] for v, x in values.start_values(variables)]
 
     # what one FMU needs to get on is too much for another, and parameters may contradict others
     slight = [(v, values.other_value(v, _SLIGHT)) if v.kind == "Real" else (v, x) for v, x in near]
     inputs = ([way for way in ways(pairs) if way[0][0].causality == "input"] for pairs in (slight, others))
     kinds = *inputs, ways(others)
     states = [v for v in values.settable_in_initialization(probe.fmu) if v.index in probe.fmu.states]
-    far_states = [
-        (v, x + _INSIDE * (y - x)) for v, x in values.start_values(states) for y in values.far_values(v)
-    ]
-    first = ways(do.accepted_together(probe, far_states, do.initialise), states)
+    moved = [(v, x + _INSIDE * (y - x)) for v, x in values.start_values(states) for y in values.far_values(v)]
+    first = ways(do.accepted_together(probe, moved, do.initialise), states)
     discrete = [v for v in probe.fmu.variables if v.variability == "discrete" and v.causality != "input"]
     read = do.read([v for v in discrete if v.kind != "Real"])
-    lots, lots_of_states, until = random.Random(1), random.Random(2), time.monotonic() + _LONGEST_S
+    lots, lots_of_states, cpu_time = random.Random(1), random.Random(2), 0.0
     runs, seen, vain = list[_Run](), set[_Case](), 0
-    while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and time.monotonic() < until:
+    while [*near, *others] and len(runs) < _MOST_RUNS and vain < _MOST_VAIN and cpu_time < _LONGEST_S:
         kind = kinds[len(runs) % _KINDS]
         sets = [[lots.choice(way) for way in kind]]
         for _ in range(do.LEAPS - 1):
             drawn = [(lots.choice(way), lots.random() < _CHANGING) for way in kind]
-            sets.append(
-                [new if changes else old for (new, changes), old in zip(drawn, sets[-1], strict=True)]
-            )
+            sets.append([new if is_new else old for (new, is_new), old in zip(drawn, sets[-1], strict=True)])
         run = Excitation([lots_of_states.choice(way) for way in first if kind is kinds[-1]], sets)
-        script = probe.script(*run.begin, read, do.excite(sets, lambda _: read))
+        measure = do.call("cpu_time")
+        script = probe.script(measure, *run.begin, read, do.excite(sets, lambda _: read), measure)
         probe.play_each([script])
+        cpu_time += script.cpu_time
         met = sum(reply.is_step and reply.ok for reply in script.replies)
         places = [{*reading.values.items()} for reading in script.readings[: met + 1]]
         runs.append((run, places))
@@ -123,7 +118,8 @@ def _chosen(runs: Sequence[_Run]) -> Excitations:
         (sum(1 + rarities[case] for case in place - first), run.sets[:i])
         for number, (run, (first, *places)) in enumerate(runs)
         for i, place in enumerate(places, 1)
-        if i in _LATE and number % _KINDS < _KINDS - 1  # odd parameters are apt to be numerical trouble
+        # odd parameters often cause numerical trouble
+        if i in _LATE and number % _KINDS < _KINDS - 1
     ]
     lead = max(ends, key=lambda end: end[0], default=(0.0, []))[1]
     changes = [_changes(places, rarities) for _, places in runs]

@@ -86,7 +86,7 @@ def _lines(fmu: FmuFile) -> dict[str, int]:
 
 
 def line_of(message: str, lines: Mapping[str, int]) -> int:
-    """Returns the line that a message states, or that of the first element that it names; 0 without one."""
+    """Returns the line that a message states, or the line of the first element that it names, or 0."""
     if stated := _LINE.search(message):
         return int(stated[1])
     names = (quoted or plain for quoted, plain in _NAMED.findall(message))
@@ -97,7 +97,7 @@ def line_of(message: str, lines: Mapping[str, int]) -> int:
 class Waiver:
     """Findings that somebody accepts, with the reason.
 
-    fmu: file name or path of an FMU, or a pattern such as "plant*.fmu"; message: what the message contains;
+    fmu: file name or path of an FMU, or a pattern such as "plant*.fmu"; message: a part of the message;
     until: the last day on which it holds
     """
 
@@ -109,24 +109,23 @@ class Waiver:
 
     def waives(self, finding: Finding, today: date) -> bool:
         """Whether the finding does not count today."""
-        return not self.is_expired(today) and self._matches(finding)
+        pattern = self.fmu.removeprefix("./")
+        names = finding.fmu.name, finding.fmu.as_posix()
+        is_fmu = pattern in names or any(fnmatchcase(name, pattern) for name in names)
+        is_rule = self.rule == finding.rule.name and self.message in finding.text
+        return is_fmu and is_rule and not self.is_expired(today)
 
     def is_expired(self, today: date) -> bool:
         """Whether the last day is over."""
         return self.until is not None and today > self.until
-
-    def _matches(self, finding: Finding) -> bool:
-        pattern = self.fmu.removeprefix("./")
-        names = finding.fmu.name, finding.fmu.as_posix()
-        is_fmu = pattern in names or any(fnmatchcase(name, pattern) for name in names)
-        return is_fmu and self.rule == finding.rule.name and self.message in finding.text
 
 
 def read_waivers(path: Path, rules: Iterable[str]) -> list[Waiver]:
     """Returns the waivers of a TOML file, [[waiver]] each. Raises ValueError, OSError if there is no file."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # also what is no UTF-8
+    except (ValueError, RecursionError) as error:
+        # also raised for text that is not UTF-8
         raise ValueError(f"{path}: {error}: expected TOML") from None
     known, entries = list(rules), content.pop("waiver", [])
     if content or not (isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)):

@@ -1,4 +1,4 @@
-"""An FMU as a file: members and parsed description. What is broken is told, never raised."""
+"""An FMU as a file: members and parsed description. Faults are reported as text, never raised."""
 
 import re
 import zipfile
@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from copy import copy
 from functools import cache, cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
@@ -24,7 +23,6 @@ _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, an
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 @cache
@@ -49,13 +47,14 @@ def fmpy_problems(path: Path) -> list[str]:
         read_model_description(path, validate_variable_names=True, validate_model_structure=True)
     except ValidationError as error:
         return error.problems
-    except Exception as error:  # its parser expects what no schema demands, such as references that exist
+    except Exception as error:
+        # its parser relies on more than the schema demands, such as existing references
         return [f"it cannot read the description ({type(error).__name__}: {error})"]
     return []
 
 
 class BrokenMemberError(ValueError):
-    """A member has not the content that a rule needs, which is a finding of that rule."""
+    """A member without the content that a rule needs: a finding of that rule."""
 
 
 class FmuFile:
@@ -72,7 +71,8 @@ class FmuFile:
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
-        except Exception as error:  # zipfile raises half a dozen kinds for a damaged archive
+        except Exception as error:
+            # zipfile raises many kinds of errors for a damaged archive
             self.archive_problem = f"it cannot be read as a zip: {error}"
             self.description_problem = "the archive cannot be read"
         else:
@@ -87,7 +87,8 @@ class FmuFile:
         except (BrokenMemberError, NotJudgedError) as error:
             return str(error)
         for date in filter(None, [self.root.get("generationDateAndTime")]):
-            self.root.set("generationDateAndTime", date.strip())  # libxml2 does not collapse its blanks
+            # libxml2 does not collapse the blanks of a date
+            self.root.set("generationDateAndTime", date.strip())
         return ""
 
     @cached_property
@@ -144,7 +145,7 @@ class FmuFile:
 
     @property
     def _attributes(self) -> Mapping[str, str]:
-        return self.interfaces.get(self.interface, _NOTHING)
+        return self.interfaces.get(self.interface, {})
 
     def claims(self, capability: str) -> bool:
         """Whether a capability flag of the interface that is judged is true."""
@@ -232,23 +233,21 @@ class FmuFile:
 
         Others in the same folder are libraries that these need.
         """
-        identifiers = "|".join(
-            re.escape(kind.get("modelIdentifier", "")) for kind in self.interfaces.values()
-        )
+        identifiers = "|".join(re.escape(one.get("modelIdentifier", "")) for one in self.interfaces.values())
         library = re.compile(rf"binaries/([^/]+)/(?:{identifiers})\.(?:so|dll|dylib)")
         return {match.group(): match[1] for match in map(library.fullmatch, self.names) if match}
 
     @property
     def host_library(self) -> str:
-        """Path inside the archive of the library that this machine loads; empty if there is none."""
+        """Path inside the archive of the library that this machine loads, or ""."""
         identifier = self._attributes.get("modelIdentifier", "")
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
         """Returns the content of a member.
 
-        Raises NotJudgedError where it cannot be unpacked, which rules of the archive tell, BrokenMemberError
-        where there is none, or one of more than `most` bytes.
+        Raises NotJudgedError if it cannot be unpacked (rules of the archive report that), BrokenMemberError
+        if it is missing or has more than `most` bytes.
         """
         if self.too_large:
             raise NotJudgedError(self.too_large)
@@ -261,12 +260,13 @@ class FmuFile:
                 raise BrokenMemberError(f"{member} has {size} bytes: expected at most {most}")
             try:
                 return archive.read(member)
-            except Exception as error:  # each way of compression has its own errors
+            except Exception as error:
+                # each compression method has its own errors
                 raise NotJudgedError(f"{member} cannot be unpacked: {error}") from error
 
     def parsed(self, member: str, most: int = _LARGEST_DESCRIPTION) -> Any:
-        """Returns the root element of an XML file. Raises what `read` does, and BrokenMemberError for what is
-        not well-formed, or has a document type declaration.
+        """Returns the root element of an XML file. Raises as `read`, and BrokenMemberError for XML that is
+        not well-formed or has a document type declaration.
         """
         content = self.read(member, most)
         parser = etree.XMLParser(
@@ -276,6 +276,7 @@ class FmuFile:
             root = etree.fromstring(content, parser)
         except (etree.XMLSyntaxError, ValueError) as error:
             raise BrokenMemberError(f"{member} is not well-formed: {getattr(error, 'msg', error)}") from None
-        if root.getroottree().docinfo.doctype:  # its entities can be bombs
+        # its entities could expand to gigabytes
+        if root.getroottree().docinfo.doctype:
             raise BrokenMemberError(f"{member} has a document type declaration: expected none")
         return root

@@ -22,12 +22,12 @@ class FmuProcess:
     """The process that calls the FMU.
 
     library: the paths of library and resources, fmi2Type, and the functions that may be missing
-    deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
+    limit: seconds from `allow` on until TimeoutError is raised; ProcessEndedError after its end
     one_instance: whether instances are created in a new process, but for others of the same calls
     """
 
     def __init__(self, library: tuple[Path, Path, int, list[str]], one_instance: bool) -> None:
-        self.deadline = time.monotonic() + START_S
+        self.allow(START_S)
         self._library, self.one_instance = library, one_instance
         self._start()
 
@@ -39,6 +39,10 @@ class FmuProcess:
         self._called = self._process.folder / CALLED
         self._process.send((self._process.folder, *self._library))
 
+    def allow(self, limit: float) -> None:
+        """Waits for the answers from now on no longer than some seconds."""
+        self.limit, self._deadline = limit, time.monotonic() + limit
+
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """Returns the results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
         creates = any(method == "create" for method, *_ in calls)
@@ -47,7 +51,7 @@ class FmuProcess:
         self._has_created |= creates
         self._process.send(calls)
         try:
-            answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
+            answer = self._process.receive(max(0.0, self._deadline - time.monotonic()))
         except ValueError as error:
             answer = str(error)
         match answer:
@@ -58,17 +62,17 @@ class FmuProcess:
         raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
 
     def _start_anew(self) -> None:
-        """Continues in a new process; its start takes no time of the deadline."""
-        left = self.deadline - time.monotonic()
+        """Continues in a new process, whose start does not count for the limit."""
+        left = self._deadline - time.monotonic()
         self.close()
-        self.deadline = time.monotonic() + START_S
+        self._deadline = time.monotonic() + START_S
         self._start()
         self.calls([])  # it has started
-        self.deadline = time.monotonic() + left
+        self._deadline = time.monotonic() + left
 
     @contextmanager
     def in_new_processes(self) -> Iterator[None]:
-        """Yields a context in which each instance is the first one of its process."""
+        """Yields a context in which each instance is the first of its process."""
         before, self.one_instance, self._has_created = self.one_instance, True, True
         try:
             yield
@@ -76,7 +80,7 @@ class FmuProcess:
             self.one_instance = before
 
     def hangs(self, seconds: float) -> bool:
-        """Whether the call that is under way takes longer than that: if need be, this waits for its end."""
+        """Whether the call that is under way takes longer; this waits for its end if necessary."""
         began, _ = self._under_way()
         while began and time.time() - began < seconds:
             time.sleep(_POLL_S)
@@ -85,7 +89,7 @@ class FmuProcess:
         return began > 0
 
     def _under_way(self) -> tuple[float, bytes]:
-        """Returns when the call that is under way began, 0 if there is none, and which it is."""
+        """Returns the start time of the call that is under way, or 0, and its text."""
         from fmus.compliance.instance import BEGAN
 
         try:
@@ -96,7 +100,7 @@ class FmuProcess:
 
     @property
     def call_under_way(self) -> str:
-        """The call that is under way, with its arguments; empty if there is none."""
+        """The call that is under way, with its arguments, or ""."""
         began, call = self._under_way()
         text = call.split(b"\0", 1)[0].decode("utf-8", "replace").replace("None", "NULL") if began else ""
         return _DECIMALS.sub(lambda match: f"{float(match[0]):.9g}", text)

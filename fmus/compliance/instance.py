@@ -1,6 +1,6 @@
 """The process that loads an FMU and plays calls on its instances: statuses, messages, memory, settings.
 
-It judges nothing, and what it sends is not trusted: the FMU can do to it whatever it likes.
+It makes no judgement. Its messages are untrusted, because the FMU controls this process.
 """
 
 import ctypes
@@ -31,10 +31,10 @@ CALLED = "called"  # a file of the working folder: when the call that is under w
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_EVENTS = "observed_events"  # which calls nothing
+_OWN = "observed_events", "cpu_time"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
-    DISCARD: (_EVENTS, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
-    ERROR: (_EVENTS, "free_state", "fmi2SetDebugLogging"),
+    DISCARD: (*_OWN, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
+    ERROR: (*_OWN, "free_state", "fmi2SetDebugLogging"),
 }
 
 
@@ -63,9 +63,6 @@ class LoadedFmu:
         self._settings = ProcessSettings()
         self._instances: dict[int, CalledInstance] = {}
 
-    def load(self) -> None:
-        """Does nothing: the library is loaded by now."""
-
     def text(self, function: str) -> tuple[str, bool]:
         """Returns the text of a function without arguments, and whether it has the same address twice."""
         address = ctypes.cast(getattr(self._library, function), ctypes.CFUNCTYPE(ctypes.c_void_p))
@@ -80,9 +77,7 @@ class LoadedFmu:
         return {"held": len(memory.held), "given": memory.given, "foreign frees": memory.foreign_frees}
 
     def resources_in_use(self) -> dict[str, int]:
-        """Returns open files and threads of the process, and bytes of its heap; what the system does not tell
-        is 0.
-        """
+        """Returns open files and threads of the process, and bytes of its heap, 0 if unknown."""
         return self._settings.resources_in_use()
 
     def link(self, name: str) -> str:
@@ -103,6 +98,9 @@ class LoadedFmu:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
         content = call.encode()[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
         self._announced[BEGAN.size : BEGAN.size + len(content)] = content
+        # a pending step is one call, however often its status is asked for
+        if not call.startswith("fmi2GetStatus("):
+            BEGAN.pack_into(self._announced, 0, time.time())
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
         """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
@@ -154,7 +152,6 @@ class LoadedFmu:
         if instance.watched:
             self._settings.flush()
             printed = self._printed.stat().st_size
-        BEGAN.pack_into(self._announced, 0, time.time())
         value = action()
         if not instance.watched:
             self._settings.restore_floating_point()
@@ -165,7 +162,7 @@ class LoadedFmu:
         return [value, instance.new_messages(), changed, printed]
 
     def free(self, number: int) -> list[Any]:
-        """Frees an instance, unless there is none or it is fatal: as `create`, without a value."""
+        """Frees an instance, unless it does not exist or is fatal; returns as `create`, without a value."""
         instance = self._instances.pop(number)
         observed = self._observed(instance, instance.free)
         self._settings.restore()
@@ -178,10 +175,14 @@ def call_fmu(parent: Parent) -> None:
     Sends [results, error]: results of the calls up to the first error, and that error, or null.
     """
     folder, *arguments = parent.receive()
-    os.chdir(folder)  # where the FMU writes files
+    # relative paths of the FMU lead there, and the folder is removed afterwards
+    os.chdir(folder)
     limit_process(MOST_MEMORY, MOST_OF_A_FILE)
     gc.set_threshold(ALLOCATIONS)
-    printed = _print_to(Path(folder, "printed"))
+    printed = Path(folder, "printed")
+    with printed.open("wb") as stream:
+        for standard in (sys.stdout, sys.stderr):
+            os.dup2(stream.fileno(), standard.fileno())
     with Path(folder, CALLED).open("w+b") as file:
         file.truncate(_ANNOUNCED)
         announced = mmap.mmap(file.fileno(), _ANNOUNCED)
@@ -196,15 +197,8 @@ def call_fmu(parent: Parent) -> None:
             results.extend(getattr(fmu, method)(*values) for method, *values in calls)
         except _DEFECTS as exception:
             error = defect(exception)
-        except Exception as exception:  # whatever a foreign library makes of a call is a finding
+        except Exception as exception:
+            # any error of a foreign library is a finding, not an end of this process
             error = str(exception) or type(exception).__name__
         BEGAN.pack_into(announced, 0, 0.0)
         parent.send_json([results, error])
-
-
-def _print_to(file: Path) -> Path:
-    """Lets standard output and standard error go to a file."""
-    with file.open("wb") as stream:
-        for standard in (sys.stdout, sys.stderr):
-            os.dup2(stream.fileno(), standard.fileno())
-    return file

@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 from fmus.compliance.process_settings import ProcessSettings
+from fmus.compliance.rule import without_folders
 from fmus.fmi.binding import OK, WARNING, BoundInstance, Library
 from fmus.fmi.callbacks import Callbacks, Log, Logger
 
@@ -30,7 +31,9 @@ class MessageLog(Log):
     ) -> None:
         self._noted |= {(f"{name} in a callback", *values) for name, *values in self._settings.differing()}
         if len(self.messages) < _MOST_MESSAGES:
-            self.messages.append([status, message, instance, category, self._known_environment])
+            # before rules cut the text, where half of a folder's name could stay
+            text = without_folders(message)
+            self.messages.append([status, text, instance, category, self._known_environment])
 
 
 def logger_of_formats(messages: MessageLog) -> Any:
@@ -60,7 +63,8 @@ def shower(kind: type) -> Callable[[Any], Any] | None:
         return lambda argument: argument
     if not issubclass(kind, ctypes.Array):
         return None
-    is_text = kind._type_ in (ctypes.c_char, ctypes.c_char_p)  # the FMU may leave wrong addresses
+    # the FMU may leave wrong addresses of texts
+    is_text = kind._type_ in (ctypes.c_char, ctypes.c_char_p)
     return lambda argument: ... if is_text else argument[:_MOST_SHOWN]
 
 

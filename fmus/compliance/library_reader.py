@@ -1,7 +1,7 @@
-"""Reader of shared libraries: LIEF reads them, without loading them, in a process of its own.
+"""Reader of shared libraries: LIEF reads them in a separate process, without loading them.
 
-LIEF takes longer to import than all rules take, and may crash or hang on a library: it reads there, beside
-the behaviour of an FMU.
+LIEF takes longer to import than all rules take, and may crash or hang on a library. So it reads while the
+behaviour of the FMU is judged.
 """
 
 import atexit
@@ -67,7 +67,8 @@ class Reading:
         self._process.request += 1
         self._request = self._process.request
         arguments = members, self._request
-        threading.Thread(target=self._process.send, args=arguments, daemon=True).start()  # may take a while
+        # a large library would block the caller
+        threading.Thread(target=self._process.send, args=arguments, daemon=True).start()
 
     @cached_property
     def result(self) -> tuple[Sequence[Library], str]:
@@ -130,7 +131,8 @@ def _slices(lief: Any, content: bytes) -> Iterator[Any]:
 def _facts(path: str, parsed: Any) -> Library:
     symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
     needed, search_paths = [], []
-    if parsed.format.name == "MACHO":  # whose table of exports may be missing
+    # the table of exports may be missing
+    if parsed.format.name == "MACHO":
         symbols += [symbol for symbol in parsed.symbols if symbol.category.name == "EXTERNAL"]
     if parsed.format.name == "ELF":
         needed = [str(name) for name in parsed.libraries if not str(name).startswith(_SYSTEM)]

@@ -1,4 +1,4 @@
-"""One instance of an FMU for model exchange, led as a slave is: a step integrates and handles events.
+"""One instance for model exchange with the methods of a slave: a step integrates and handles events.
 
 At communication points the instance is in event mode, in which every variable can be read, and inputs,
 tunable parameters and saved states can be set.
@@ -34,7 +34,7 @@ _Point = tuple[float, list[float], list[float]]  # time, states, derivatives
 
 
 class EventInfo(ctypes.Structure):
-    """The structure fmi2EventInfo."""
+    """Structure fmi2EventInfo of fmi2FunctionTypes.h."""
 
     _fields_ = [(name, ctypes.c_double if name == _INFOS[-1] else ctypes.c_int) for name in _INFOS]
 
@@ -46,7 +46,7 @@ class _StepEndsError(Exception):
 class ModelExchangeInstance(CalledInstance):
     """An instance for model exchange.
 
-    options besides: states and indicators, the numbers of both
+    further options: states and indicators, the numbers of both
       needs_completed: whether fmi2CompletedIntegratorStep must be called
       again: whether fmi2NewDiscreteStates is called once more at the end of each event
       observed: type -> value references of variables that `observed_events` has with the events
@@ -64,7 +64,7 @@ class ModelExchangeInstance(CalledInstance):
     # single functions
 
     def vector(self, function: str) -> list[float]:
-        """Returns what a function gives: states, their derivatives or nominals, or event indicators."""
+        """Returns the states, their derivatives or nominals, or the event indicators."""
         count = self._counts[function == _INDICATORS]
         return self.results(ctypes.c_double, count, lambda array: self.call(function, array, count))
 
@@ -116,12 +116,12 @@ class ModelExchangeInstance(CalledInstance):
         return self._lead(lambda: self._advance(t, t + h, no_going_back))
 
     def set_time(self, t: float) -> None:
-        """Sets the time; that of a communication point is as the instance has it."""
+        """Sets the time, at a communication point to the exact time of the instance."""
         self.call("fmi2SetTime", self._own_time(t))
 
     def _own_time(self, t: float) -> float:
-        """Returns the time of the instance, which is the given one, also after a state was set back, but for
-        rounding.
+        """Returns the time of the instance that equals the given time but for rounding, also after a state
+        was set back.
         """
         return self._ends.get(f"{t:.9g}", t)
 
@@ -138,7 +138,7 @@ class ModelExchangeInstance(CalledInstance):
         return ""
 
     def _checked(self, method: Callable[..., Any], *arguments: Any) -> Any:
-        """Returns what a method returns whose function does not fail."""
+        """Returns the result of a method; raises _StepEndsError if its function fails."""
         warned, result = self.last_status, method(*arguments)
         if not 0 <= self.last_status <= WARNING:
             raise _StepEndsError
@@ -147,7 +147,8 @@ class ModelExchangeInstance(CalledInstance):
 
     def _advance(self, t: float, end: float, no_going_back: bool) -> None:
         self._time = t
-        self._handle_event("communication point")  # for what was set since
+        # inputs may have been set since the last step
+        self._handle_event("communication point")
         self._substeps = 0
         for _ in range(_MOST_EVENTS):
             self._checked(self.call, "fmi2EnterContinuousTimeMode")
@@ -204,7 +205,7 @@ class ModelExchangeInstance(CalledInstance):
     def _integrate(self, t: float, end: float, least: float, no_going_back: bool) -> tuple[float, str]:
         """Integrates by Heun's scheme up to an event, or the end; returns its time and its cause.
 
-        least: size of substeps at which neither the error nor an event indicator makes them smaller [s]
+        least: size of substeps that neither the error nor an event indicator makes smaller [s]
         """
         x, z, slopes = (self._read(function) for function in (_STATES, _INDICATORS, _DERIVATIVES))
         if self._events:

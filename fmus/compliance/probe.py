@@ -1,4 +1,4 @@
-"""The FMU that behaviour rules examine: scripts of calls are played on its instances."""
+"""The FMU that behaviour rules examine, by scripts of calls on its instances."""
 
 import itertools
 import math
@@ -34,10 +34,9 @@ NO_INSTANCE = "fmi2Instantiate returned NULL"
 class Shared:
     """Observations that the rules share.
 
-    results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> rule that tells it
-    refusals: replies that were not ok to calls with logging, of scripts without calls that FMI forbids, one
-      of each function and status, with and without messages; those of a script that a failed call ends, and
-      after fmi2SetDebugLogging are left out
+    results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> reporting rule
+    refusals: replies that were not ok to calls with logging, one of each function and status, with and
+      without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
     log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
@@ -51,17 +50,22 @@ class Shared:
     refused_steps: str = ""
     discards: str = ""
 
+    def for_a_new_process(self, rule: str) -> "Shared":
+        """Returns these without played scripts and their results, and without the failing calls of a rule."""
+        failing = {call: name for call, name in self.failing.items() if name != rule}
+        return replace(self, results={}, played={}, failing=failing)
+
 
 class DiscardedStepError(NotJudgedError):
-    """A step that the FMU discards, as 4.2.2 lets it."""
+    """A step that the FMU discards, which 4.2.2 allows."""
 
 
 class Probe:
-    """An unpacked FMU in a process of its own.
+    """An unpacked FMU in its own process.
 
     one_instance: of `FmuProcess`
     start_time, stop_time, step_size: of the default experiment [s], infinite if it states no stop time;
-    states_step_size: whether it states one; tolerance: its own, relative, or the usual one
+    states_step_size: whether it states one; tolerance: relative, stated or the usual one
     """
 
     def __init__(self, fmu: FmuFile, folder: Path, shared: Shared, one_instance: bool = False) -> None:
@@ -94,7 +98,7 @@ class Probe:
         return self.process.calls([(method, *arguments)])[0]
 
     def script(self, *actions: Action, lead: Sequence[Action] = (), **options: Any) -> Script:
-        """Returns calls to be made on a new instance, those of some actions at first.
+        """Returns a script for a new instance, which begins with the calls of some actions.
 
         lead: see `Script`; options: of `CalledInstance`, but for the GUID of the description
         """
@@ -125,7 +129,7 @@ class Probe:
         self._play([[script] for script in scripts], keep_going=True)
 
     def _play(self, groups: Sequence[Sequence[Script]], keep_going: bool) -> None:
-        """Plays groups of scripts one after the other in one message, those of a group side by side."""
+        """Plays groups of scripts one after the other in one message, scripts of one group side by side."""
         turns = list[tuple[Script, int, Call]]()  # with the part of a script
         answers = list[Any]()
         for scripts in groups:
@@ -142,7 +146,7 @@ class Probe:
                 answers += self.process.calls([call for *_, call in turns[len(answers) :]])
         for (script, part, (method, *_)), answer in zip(turns, answers, strict=True):
             if method == "create" and not answer[0]:
-                raise _refused([Message(*message) for message in answer[1]])
+                raise refusal([Message(*message) for message in answer[1]])
             script.take(method, part, answer)
         all_scripts = [script for scripts in groups for script in scripts]
         for script in all_scripts:
@@ -151,17 +155,15 @@ class Probe:
             if failure := script.failure:
                 self._judge_failure(script, failure)
 
-    def note_failure(self, reply: Reply, rule: str) -> None:
-        """Notes, for all rules, that a function fails in a state, which a rule tells."""
-        self.shared.failing[reply.function, reply.state] = rule
-
     def _judge_failure(self, script: Script, failure: Reply) -> None:
-        """Raises NotJudgedError for a call that is known to fail, which the rule of it has told, and for a
-        step that the FMU may refuse: it refuses those of the usual size, discards one of them, or is used
-        beyond the stop time of its default experiment.
+        """Raises NotJudgedError for a call that fails for a licence or is known to fail, and for a step that
+        the FMU may refuse: it refuses the usual size, discards one of them, or is used beyond the
+        stop time of its default experiment.
         """
+        if lacks_licence(failure.logged):
+            raise NotJudgedError(failure.problem)
         if rule := self.shared.failing.get((failure.function, failure.state)):
-            raise NotJudgedError(f"{failure.function} fails, which {rule} tells")
+            raise NotJudgedError(f"{failure.function} fails, as {rule} reports")
         if failure.is_step:
             _, t, h, *_ = script.calls[script.replies.index(failure)]
             is_beyond = t + h > self.stop_time + 1e-9 * max(abs(t), h)
@@ -181,7 +183,8 @@ class Probe:
             if reply.status and not reply.reason:
                 key = reply.function, reply.status, bool(reply.messages)
                 self.shared.refusals.setdefault(key, reply)
-            if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
+            # logging may be off after it
+            if reply.function == "fmi2SetDebugLogging":
                 break
         log, name = self.shared.log, script.options.get("name", USUAL_NAME)
         is_usual = not {"callbacks", "overwritten"} & {*script.options}
@@ -212,8 +215,8 @@ class Probe:
     def once(self, name: str, make: Callable[[], T], *of: object) -> T:
         """Returns the result of `make`, made once for all rules; NotJudgedError for the next if it failed.
 
-        What cannot be judged, or is not there, is so for every rule. of: what tells it from others of its
-        name.
+        NotApplicableError and NotJudgedError are raised again for every rule. of: distinguishes results of
+        one name.
         """
         results, key = self.shared.results, f"{name} {of}"
         if key not in results:
@@ -235,15 +238,17 @@ class Probe:
         return [v for v in self.fmu.variables if v.causality == "output"]
 
 
-def _refused(messages: Sequence[Message]) -> Exception:
-    """Returns the error of an FMU that returns no instance; what lacks a licence now is not judged."""
-    text = refusal(messages)
-    return NotJudgedError(text) if _LICENCE.search(text) else CallError(text)
+def lacks_licence(text: str) -> bool:
+    """Whether a text speaks of a licence: a call that fails for one says nothing about the FMU's code."""
+    return _LICENCE.search(text) is not None
 
 
-def refusal(messages: Sequence[Message]) -> str:
-    """Returns the reason why fmi2Instantiate returned NULL, in the FMU's own words."""
+def refusal(messages: Sequence[Message]) -> Exception:
+    """Returns the error of fmi2Instantiate that returned NULL, with the FMU's messages; NotJudgedError if it
+    lacks a licence.
+    """
     text = "; ".join(filter(None, (message.text.strip() for message in messages)))
     cause = "the GUID of the library is another one" if "guid" in text.lower() else ""
     logged = f"the FMU logged: {text}" if text else "it logged nothing"
-    return "; ".join(filter(None, [f"{NO_INSTANCE}: expected an instance", cause, logged]))
+    reason = "; ".join(filter(None, [f"{NO_INSTANCE}: expected an instance", cause, logged]))
+    return NotJudgedError(reason) if lacks_licence(text) else CallError(reason)

@@ -1,4 +1,4 @@
-"""Settings and resources of this process that an FMU could change: read around its calls, and set back."""
+"""Settings and resources of this process that an FMU could change, compared before and after its calls."""
 
 import ctypes
 import gc
@@ -40,7 +40,7 @@ def _limits(text: str) -> dict[str, str]:
 
 
 class ProcessSettings:
-    """Settings of this process in the C library and the operating system, against what they were at first."""
+    """Settings of this process in the C library and the operating system, compared with the first ones."""
 
     def __init__(self) -> None:
         self._library: Any = ctypes.CDLL(None) if os.name == "posix" else None
@@ -52,7 +52,8 @@ class ProcessSettings:
         self._mathematics: Any = None
         with suppress(OSError):
             self._mathematics = linux and ctypes.CDLL("libm.so.6")
-        self._first_fenv = ctypes.create_string_buffer(64)  # more than any fenv_t has
+        # larger than fenv_t of any platform
+        self._first_fenv = ctypes.create_string_buffer(64)
         if self._mathematics:
             self._mathematics.fegetenv(self._first_fenv)
         self._environment: Any = None
@@ -62,12 +63,12 @@ class ProcessSettings:
         self._process, self._floating_point = self._process_now(), self._floating_point_now()
 
     def flush(self) -> None:
-        """Lets what was printed leave the buffers of the C library."""
+        """Flushes the output buffers of the C library."""
         if self._library is not None:
             self._library.fflush(None)
 
     def _floating_point_now(self) -> str:
-        """Returns what controls floating point; empty where that is not known."""
+        """Returns the floating-point control in words; "" if it is unknown."""
         if not self._mathematics:
             return ""
         rounding, traps = self._mathematics.fegetround(), self._mathematics.fegetexcept()
@@ -75,14 +76,14 @@ class ProcessSettings:
         return f"rounding mode {rounding:#x}, traps {traps:#x}{flushed}"
 
     def differing(self) -> list[tuple[str, str, str]]:
-        """Returns setting, value when this was made, and value now, of those that differ in a callback."""
+        """Returns (setting, first value, present value) of each setting that differs in a callback."""
         path = "working directory"
         rows = [("floating-point control", self._floating_point, self._floating_point_now())]
         rows.append((path, self._process[path], str(Path.cwd())))
         return [(name, before, now) for name, before, now in rows if before != now]
 
     def changed(self) -> list[list[str]]:
-        """Returns [setting, before, after] of those changed since this was made, or noticed last."""
+        """Returns [setting, before, after] of each setting changed since the start or the last call."""
         now, rows = self._floating_point_now(), []
         self.restore_floating_point()
         if now != self._floating_point:
@@ -93,7 +94,7 @@ class ProcessSettings:
         return rows
 
     def restore(self) -> None:
-        """Sets back what can be."""
+        """Sets back the settings that can be set back."""
         self.restore_floating_point()
         os.chdir(self._process["working directory"])
         os.umask(int(self._process["file mode mask"], 8))
@@ -105,7 +106,7 @@ class ProcessSettings:
             self._mathematics.fesetenv(self._first_fenv)
 
     def _process_now(self) -> dict[str, str]:
-        """Returns settings by name, those that the operating system tells."""
+        """Returns name -> value of the settings that this operating system provides."""
         umask = os.umask(0)
         os.umask(umask)
         settings = {
@@ -141,12 +142,11 @@ class ProcessSettings:
         return ", ".join(row.decode("utf-8", "replace")[:60] for row in rows)
 
     def resources_in_use(self) -> dict[str, int]:
-        """Returns open files and threads of the process, and bytes of its heap; what the system does not tell
-        is 0.
-        """
+        """Returns open files and threads of the process, and bytes of its heap, 0 if unknown."""
         gc.collect()
         if not gc.get_freeze_count():
-            gc.freeze()  # what is left stays: the next collections are short
+            # the remaining objects stay, so that later collections are short
+            gc.freeze()
         heap = self._heap().numbers if self._heap is not None else [0] * 10
         counts = {"heap": heap[_IN_USE] + heap[_IN_LARGE_BLOCKS]}
         for name, folder in (("open files", "fd"), ("threads", "task")):

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from fmus.compliance.findings import Finding, folded
 from fmus.compliance.fmu_file import DESCRIPTION
-from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Level, Result, Rule
+from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Level, Result, Rule, Stage
 from fmus.compliance.sentences import levels, sentences_of
 from fmus.errors import nearest
 
@@ -283,9 +283,6 @@ def explain(name: str, rules: Sequence[Rule]) -> str:
     checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name)]
     body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {chosen.clause}"]
     needs = [f"not judged if broken: {', '.join(chosen.needs)}"] if chosen.needs else []
-    head = f"{name}: {chosen.level} ({levels()[name][1]}), judged by {_judged_by(chosen)}"
+    by = "calls of the FMU" if chosen.stage is Stage.BEHAVIOUR else f"the {chosen.stage}, without running it"
+    head = f"{name}: {chosen.level} ({levels()[name][1]}), judged by {by}"
     return "\n".join([head, chosen.claim, *body, *needs, f"mutants: python -m tests.mutants {name}"]) + "\n"
-
-
-def _judged_by(rule: Rule) -> str:
-    return "calls of the FMU" if rule.stage == "behaviour" else f"the {rule.stage}, without running it"

@@ -1,4 +1,4 @@
-"""Rules of one shape as rows of data: what they look at, what is wrong with it, and the message if it is."""
+"""Rules as rows of data: the subjects in an FMU, a predicate for wrong ones, and the message."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
@@ -20,16 +20,16 @@ Row = tuple[str, Check, str]
 
 
 def row(name: str, subjects: Callable[[Any], Iterable[T]], *cases: Case[T], clause: str = "") -> Row:
-    """Returns a rule that looks at subjects in an FMU: of each the first case that holds is told, once."""
+    """Returns a rule about subjects in an FMU, with one message for the first case that holds of each."""
     return name, lambda source: dict.fromkeys(_told(source, subjects(source), *cases)), clause
 
 
 def add_rows(
     module: str, stage: Stage, rows: Iterable[Row], condition: Condition = always, **options: Any
 ) -> None:
-    """Makes rows the rules of a module, of one stage and condition; their clauses are those of sentences.
+    """Makes rows the rules of a module, with one stage and condition, and the clauses of their sentences.
 
-    options: last and interface, as of `rule`
+    options: last and interface, as in `rule`
     """
     for name, check, by in rows:
         clause = by or ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(name)))
@@ -54,7 +54,7 @@ class _Names(dict[str, Any]):
 
 
 def anything(*_: Any) -> bool:
-    """Whether a subject is wrong that is there only then: always."""
+    """Returns True: the presence of such a subject is wrong."""
     return True
 
 

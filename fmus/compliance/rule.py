@@ -1,6 +1,7 @@
 """Rules: each is one decorated function, or a row of data; all of them in their order."""
 
 import inspect
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -29,7 +30,7 @@ class Level(StrEnum):
 
 
 class Stage(StrEnum):
-    """Stage at which a rule is judged, if what it looks at can be had."""
+    """Stage in which a rule is judged, by the part of the FMU that it needs."""
 
     FILE = "file"
     DESCRIPTION = "description"
@@ -39,9 +40,9 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule: `check` yields a message for each time that an FMU breaks it; or what it does must succeed.
+    """One rule: `check` yields a message for each breach, or makes calls that must succeed.
 
-    interface: the element of the interface that it is of alone; empty for a rule of both
+    interface: the element of the only interface that it applies to; "" for both
     """
 
     name: str
@@ -76,11 +77,11 @@ RANDOM = "the outputs are random"
 
 
 class NotJudgedError(Exception):
-    """A rule that cannot be judged; the message says why."""
+    """A rule that cannot be judged, for the reason in the message."""
 
 
 class NotApplicableError(Exception):
-    """A rule for what an FMU does not have or do, as its `check` observes; the message says what."""
+    """A rule about a feature that its `check` does not find in the FMU; the message names the feature."""
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,9 @@ class Result:
 
 
 def defect(error: Exception) -> str:
-    """Returns the reason why a rule with an error of its own is not judged: the FMU has no part in it."""
+    """Returns the reason why a rule that raises an error is not judged: the fault is not the FMU's."""
 
-    return f"{DEFECT} ({type(error).__name__}: {error}), which tells nothing of the FMU: please report it"
+    return f"{DEFECT} ({type(error).__name__}: {error}), not by the FMU: please report it"
 
 
 ALLOCATIONS = 50_000
@@ -115,6 +116,12 @@ DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
 RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registered` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
+# names of temporary folders are random: a finding would be another one in each run
+_PREFIXES = "fmu-check-", "l1-depth-process-"
+_TEMPORARY = re.compile(
+    rf"(file:/*(?=/))?(?:[A-Za-z]:)?(?:[/\\]+[^/\\\s:'\"]+)*[/\\]+(?:{'|'.join(_PREFIXES)})\w{{8}}"
+    r"([/\\]+unpacked)?([/\\]+)?"
+)
 
 
 def always(_: Any) -> str:
@@ -156,7 +163,7 @@ def add_rule(added: Rule) -> None:
 
 
 def behaviour_rule(clause: str, condition: Condition = always, **options: Any) -> Callable[[Check], Check]:
-    """Makes a function a rule of behaviour; arguments as of `rule`."""
+    """Makes a function a rule of behaviour; arguments as in `rule`."""
     return rule(clause, Stage.BEHAVIOUR, condition, **options)
 
 
@@ -178,13 +185,23 @@ def rule_of(
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
     """Returns the messages of a check, each on one line: as many and as much of each as somebody may read.
 
-    What an FMU puts into one cannot move the cursor of a terminal, or begin a line of its own.
+    No text of an FMU in them can move the cursor of a terminal or begin a line.
     """
-    messages = [_plain(" ".join(message[:_LONGEST_MESSAGE].split())) for message in check]
+    messages = [_plain(" ".join(without_folders(text)[:_LONGEST_MESSAGE].split())) for text in check]
     left = len(messages) - _MOST_MESSAGES
     if left < 2:  # a number alone would hide one message
         return tuple(messages)
     return (*messages[:_MOST_MESSAGES], f"{left} more of this kind")
+
+
+def without_folders(text: str) -> str:
+    """Returns a text with paths relative to the unpacked FMU, and "..." for other temporary folders."""
+
+    def shown(match: re.Match[str]) -> str:
+        scheme, unpacked, end = match.groups("")
+        return "" if unpacked and end and not scheme else f"{scheme and scheme + '/'}...{end}"
+
+    return _TEMPORARY.sub(shown, text) if any(prefix in text for prefix in _PREFIXES) else text
 
 
 def _plain(text: str) -> str:
@@ -194,7 +211,7 @@ def _plain(text: str) -> str:
 def repeated(names: Iterable[Any]) -> dict[Any, int]:
     """Returns the number of times that each name occurs, of those that occur more than once.
 
-    None is left out: the schema tells what has no name.
+    None is left out, as the schema reports a missing name.
     """
     return {name: count for name, count in Counter(names).items() if count > 1 and name is not None}
 
@@ -204,7 +221,7 @@ MODULES = (
     "lifecycle", "calls", "value", "setting", "step",
     "environment", "messages", "state", "derivatives", "effects", "events", "continuous_time",
 )  # fmt: skip
-"""Modules of `fmus.compliance.rules`, in the order in which their rules are judged and told."""
+"""Modules of `fmus.compliance.rules`, in the order in which their rules are judged and reported."""
 
 
 @cache

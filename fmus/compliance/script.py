@@ -17,9 +17,10 @@ VECTORS = (
     "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
     "fmi2GetNominalsOfContinuousStates",
 )  # fmt: skip
+_LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
-_STATES = {  # function -> state that it leads to; `actions` has those of other calls
+_STATES = {  # function -> state that it leads to; `actions` has the states of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
     "fmi2Reset": "instantiated",
@@ -40,7 +41,7 @@ class CallError(Exception):
 
 
 class DefectError(Exception):
-    """A call that this checker made wrongly: no finding of the FMU."""
+    """A call that this checker made wrongly, not the FMU."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +89,8 @@ class Reply:
 
     @property
     def logged(self) -> str:
-        return (
-            "; ".join(dict.fromkeys(" ".join(m.text.split()) for m in self.messages)) or "it logged nothing"
-        )
+        texts = dict.fromkeys(" ".join(m.text.split()) for m in self.messages)
+        return "; ".join(texts) or "it logged nothing"
 
     @property
     def problem(self) -> str:
@@ -137,7 +137,7 @@ class Script:
     creation, end: of the instance
     is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
     expected, observed: readings to be compared; the latter with words for when and where
-    ignored: calls whose failure tells nothing
+    ignored: calls whose failure is ignored
     errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
     has_started: whether `start` was written
@@ -195,9 +195,7 @@ class Script:
         for v in variables:
             if v.base_kind in KINDS and v.reference is not None:
                 groups.setdefault(v.base_kind, []).append(v)
-        replies = {
-            kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
-        }
+        replies = {kind: self.call("get", kind, [v.reference for v in some]) for kind, some in groups.items()}
         for kind, members in groups.items():
             replies[kind].words = f" of {listed([str(v.name) for v in members], 1)}"
         return Reading(groups, replies)
@@ -219,7 +217,7 @@ class Script:
 
     @property
     def time(self) -> float:
-        """Time at which the next step begins [s]."""
+        """Start time of the next step [s]."""
         return self.probe.point(self.next_step)
 
     # playing
@@ -230,7 +228,7 @@ class Script:
         return self
 
     def take(self, method: str, part: int, answers: Sequence[Any]) -> None:
-        """Takes what was observed while the instance was created, freed, or played a part of the calls."""
+        """Takes the observations while the instance was created, freed, or played a part of the calls."""
         if method != "play":
             reply = self.creation if method == "create" else self.end
             _, messages, reply.changed, reply.printed = answers
@@ -243,12 +241,14 @@ class Script:
             try:
                 status, reply.value, messages, changed, printed, function, mode = answer
                 reply.function = str(function)
-                if status and self.probe.fmu.is_model_exchange:  # a step is many calls
+                # a step for model exchange is many calls
+                if status and self.probe.fmu.is_model_exchange:
                     reply.state = _MODES.get(mode, reply.state)
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed or (), int(printed)
                 reply.messages = tuple(Message(*message) for message in messages)
-            except (TypeError, ValueError):  # the FMU can write to the process that answers
+            except (TypeError, ValueError):
+                # the FMU controls the process that answers
                 raise CallError(f"the process of the FMU answers {str(answer)[:100]!r}") from None
 
     @property
@@ -267,8 +267,15 @@ class Script:
         return all(reply.ok for reply in self.replies)
 
     @property
+    def cpu_time(self) -> float:
+        """CPU time of the FMU's process [s] from the first to the last call "cpu_time"."""
+        asked = zip(self.calls, self.replies, strict=True)
+        times = [reply.value for (method, *_), reply in asked if method == "cpu_time" and reply.ok]
+        return max(times[-1] - times[0], _LEAST_CPU_TIME) if times else _LEAST_CPU_TIME
+
+    @property
     def failure(self) -> Reply | None:
-        """The first call that fails, but those that are ignored, or that return error."""
+        """The first failed call, except ignored calls and calls that should return error."""
         excused = {id(reply) for reply in (*self.ignored, *(reply for reply, *_ in self.errors))}
         failed = (reply for reply in self.replies if reply.status is not None and not reply.ok)
         return next((reply for reply in failed if id(reply) not in excused), None)

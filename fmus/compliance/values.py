@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition
+from fmus.compliance.rule import Condition, without_folders
 from fmus.compliance.script import Expected, Reading
 from fmus.compliance.variable import Variable
 
@@ -31,7 +31,7 @@ def if_not_claimed(flag: str) -> Condition:
 
 
 def start_value(v: Variable) -> Any:
-    """Returns the start value as the setter takes it; None if there is none, or none that can be read."""
+    """Returns the start value as the setter takes it; None if it is missing or cannot be parsed."""
     text = v.start
     if text is None or v.base_kind == "String":
         return text
@@ -49,7 +49,7 @@ def start_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
 
 
 def other_value(v: Variable, part: float = _PART) -> Any:
-    """Returns a legal value near the start value but another one; None if there is none.
+    """Returns another legal value near the start value, or None.
 
     part: of the start value, or the nominal one if that is larger, by which a Real differs
     """
@@ -72,7 +72,8 @@ def other_value(v: Variable, part: float = _PART) -> Any:
 def far_values(v: Variable) -> list[Any]:
     """Returns legal values far from the start value: Reals three times as large or the limits, texts.
 
-    A parameter gets no other sign beyond what its limits tell: many, such as a period, mean nothing there.
+    A parameter keeps its sign unless its limits allow the other one: a negative period, for example, means
+    nothing.
     """
     start = start_value(v)
     if start is None:
@@ -155,14 +156,14 @@ def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
 
 
-_LARGE = 1e-5  # relative: what is more is compared with the variable itself
-RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
-_SMALL = 0.01  # of the largest variable: what is smaller is compared against that
+_LARGE = 1e-5  # relative: a larger tolerance is relative to the variable itself
+RESTARTED = 1e-2  # relative: a solver that begins anew at an event may change values as much
+_SMALL = 0.01  # of the largest variable: smaller ones are compared at that size
 _LONGEST_TEXT = 60  # characters of a value
 
 
 def texts(*values: Any) -> list[str]:
-    """Numbers with as few digits as show that they differ, six at least."""
+    """Returns numbers with the fewest digits that show their difference, at least six."""
     if not all(isinstance(value, (int, float)) for value in values):
         return [repr(value) for value in values]
     for digits in (6, 9, 12, 15):
@@ -191,7 +192,7 @@ def differing(
     largest, or to its nominal value, but at most to the largest of all, or for a large tolerance to a
     hundredth of it; to the value itself where it is given.
 
-    again: what is expected, in words, of the value; where: words for each reading, if not its number
+    again: template of the expected value; where: words for each reading, by default its number
     """
     rows = [row if isinstance(row, dict) else row.values for row in expected]
     pairs = [(row, other.values, source) for row, other, source in zip(rows, got, expected, strict=True)]
@@ -212,6 +213,7 @@ def differing(
             scale = max(scales.get(name, 0.0), min(nominals.get(name, 0.0), most))
             if name not in named and not same(value_expected, value_read, tolerance, scale):
                 named.add(name)
-                new, old = (text[:_LONGEST_TEXT] for text in texts(value_read, value_expected))
+                both = map(without_folders, texts(value_read, value_expected))
+                new, old = (text[:_LONGEST_TEXT] for text in both)
                 place = where[i] if where else f", step {i + 1}" if len(pairs) > 1 else ""
                 yield f"{name} is {new} {when}{place}: expected {again.format(old)}"

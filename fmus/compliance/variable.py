@@ -1,4 +1,4 @@
-"""A ScalarVariable as its XML says it, with the defaults of FMI 2.0.5, 2.2.7; tolerant of a broken one."""
+"""A ScalarVariable of the XML, with the defaults of FMI 2.0.5, 2.2.7; wrong attributes raise no error."""
 
 import math
 import tomllib
@@ -35,7 +35,7 @@ class Variable:
 
     @property
     def legal_initial(self) -> tuple[str, ...] | None:
-        """Values that `initial` may have, the default first; None if `is_legal_pair` is false."""
+        """Legal values of `initial`, the default first; None if `is_legal_pair` is false."""
         return INITIAL.get((self.causality, self.variability))
 
     @property
@@ -53,8 +53,7 @@ class Variable:
 
     @cached_property
     def initial(self) -> str:
-        """Attribute initial as stated, if that is legal here, else the default; "" where there is none."""
-
+        """Attribute initial as stated, if that is legal, else the default, or ""."""
         stated, legal = self.attributes.get("initial", ""), self.legal_initial
         return stated if legal is None or stated in legal else next(iter(legal), "")
 
@@ -112,7 +111,7 @@ _NONE = Variable(0, {}, "", {}, {})
 
 @dataclass(frozen=True)
 class Unknown:
-    """An Unknown of a section of ModelStructure. variable: one with index 0 if its index is that of none."""
+    """An Unknown of a section of ModelStructure. variable: with index 0 if no variable has its index."""
 
     section: str
     element: Any
@@ -146,7 +145,7 @@ class Unknown:
 
 
 def number(text: str | None) -> float | None:
-    """Returns a finite number; nothing for what is none, which the schema tells."""
+    """Returns a finite number, or None for other text, which the schema reports."""
     try:
         value = float(text) if text is not None else math.nan
     except ValueError:
@@ -155,7 +154,7 @@ def number(text: str | None) -> float | None:
 
 
 def integer(text: str | None) -> int | None:
-    """Returns a whole number in decimal digits; nothing for what is none."""
+    """Returns a whole number in decimal digits, or None for other text."""
     try:
         return int(text) if text is not None else None
     except ValueError:

@@ -50,7 +50,7 @@ static char mutation[64];
 static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate,
     unusual, refuses_others, warm, reads_after_steps;
 static Data shared;
-static int instances, created, overwritten, ended;
+static int instances, created, overwritten, ended, all_steps;
 
 #define IS(name) (!strcmp(mutation, name))
 static const char *const CATEGORIES[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
@@ -232,7 +232,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     (void)visible;
     if (!read_mutation(location)) {
-        refuse_instance(functions, name, "the resources cannot be read");
+        char text[1100];
+        snprintf(text, sizeof text, "cannot read %s", location);
+        refuse_instance(functions, name, text);
         return NULL;
     }
     if (type != fmi2CoSimulation || (strcmp(guid, GUID) && !IS("any GUID")) || IS("no instance")) {
@@ -245,6 +247,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     if (refuses_others && created++) {
         refuse_instance(functions, name, "this process had its instance");
+        return NULL;
+    }
+    if (IS("no licence") || (IS("licences for 22 instances") && created++ > 22)) {
+        refuse_instance(functions, name, "The license file was not found");
         return NULL;
     }
     if (IS("no second life") && instances++) return NULL;
@@ -334,6 +340,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Slave *s = c;
     NEEDS(INSTANTIATED);
+    if (IS("no licence to initialise")) return error(s, "the licence server does not answer");
     if (IS("initialising again leaks") && s->resets) s->callbacks.allocateMemory(1, 64);
     if (IS("another start value")) s->data.real[RATE] *= 1.5;
     if (IS("values set when instantiated are lost")) s->data.real[GAIN] = 2;
@@ -563,6 +570,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     Slave *s = c;
     Data *d = &s->data;
     NEEDS(STEPPING);
+    if (IS("waits in steps")) usleep(20000);
     if (IS("the flag of no return is refused") && no_return) return error(s, "no flag");
     if (!(h > 0) && !IS("steps of no size")) return error(s, "step size");
     const double rounding = IS("communication points may not be rounded") ? 0 : 1e-9 * fmax(1, fabs(t));
@@ -591,6 +599,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
         return fmi2Warning;
     }
     integrate(s, h);
+    if (IS("the process counts its steps") && ++all_steps > 3000) d->real[X] += 1e-4 * all_steps;
     d->real[TIME] = t + h;
     follow_time(d);
     d->last_successful_time = IS("another last successful time") ? t : t + h;

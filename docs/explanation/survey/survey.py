@@ -3,6 +3,7 @@
 survey.py check FINDINGS CLONES...    writes a line of JSON for each FMU, goes on where it stopped
 survey.py tables FINDINGS             prints what the survey found, as tables of Markdown
 survey.py compare BEFORE AFTER        prints the rules that find something else
+survey.py agree FOLDER...             prints the findings about FMUs in folders that differ with --only
 """
 
 import argparse
@@ -52,19 +53,44 @@ def checked(number: int, fmu: Fmu, repositories: Sequence[Path], folder: Path) -
     file = folder / f"{number:03d}" / Path(fmu["path"]).name
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(octets)
-    command = [sys.executable, "-m", "fmus.compliance", "--format", "json", str(file)]
     begin = time.monotonic()
     try:
-        ended = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
-        document = json.loads(ended.stdout)
+        rules = judged(file)
     except (subprocess.TimeoutExpired, json.JSONDecodeError) as error:
         return {**fmu, "unchecked": str(error)}
-    seconds = round(time.monotonic() - begin, 1)
+    return {**fmu, "seconds": round(time.monotonic() - begin, 1), "rules": rules}
+
+
+def judged(file: Path, *options: str) -> dict[str, Fmu]:
+    """Returns rule -> outcome and reason, of the rules that an FMU does not pass."""
+    command = [sys.executable, "-m", "fmus.compliance", "--format", "json", *options, str(file)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
     rules = {}
-    for rule in document["fmus"][0]["rules"]:
+    for rule in json.loads(ended.stdout)["fmus"][0]["rules"]:
         why = rule["messages"] or rule["not_judged"] or rule["not_applicable"]
         rules |= {rule["rule"]: {"outcome": rule["outcome"], "why": why}} if why else {}
-    return {**fmu, "seconds": seconds, "rules": rules}
+    return rules
+
+
+def agree(folders: Sequence[Path]) -> int:
+    """Prints each finding about the FMUs in folders that differs if its rule alone is judged, numbers and
+    bytes aside; returns how many do.
+    """
+    count, files = 0, sorted(file for folder in folders for file in folder.rglob("*.fmu"))
+    for file in files:
+        for name, rule in judged(file).items():
+            alone = judged(file, "--only", name).get(name, PASSED) if rule["outcome"] in BROKEN else rule
+            count += told_apart(f"{file} {name}", rule, alone)
+    print(f"{count} findings differ, {len(files)} FMUs")
+    return count
+
+
+def told_apart(name: str, was: Fmu, now: Fmu) -> bool:
+    """Prints two results of one rule if they differ by more than numbers and bytes; returns whether."""
+    differ = OF_ONE_RUN.sub("#", str(was)) != OF_ONE_RUN.sub("#", str(now))
+    if differ:
+        print(name, f"- {was}", f"+ {now}", sep="\n  ", flush=True)
+    return differ
 
 
 def check(findings: Path, clones: Sequence[Path], keep: Path | None) -> None:
@@ -126,22 +152,22 @@ def compare(before: Path, after: Path) -> int:
         rules = [side[name].get("rules", {}) for side in (old, new)]
         for rule in sorted(rules[0].keys() | rules[1].keys()):
             was, now = (side.get(rule, PASSED) for side in rules)
-            if OF_ONE_RUN.sub("#", str(was)) != OF_ONE_RUN.sub("#", str(now)):
-                count += 1
-                print(name, rule, f"- {was}", f"+ {now}", sep="\n  ")
+            count += told_apart(f"{name} {rule}", was, now)
     print(f"{count} differences, {len(old.keys() & new.keys())} FMUs in both")
     return count
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("action", choices=("check", "tables", "compare"))
+    parser.add_argument("action", choices=("check", "tables", "compare", "agree"))
     parser.add_argument("paths", type=Path, nargs="+", metavar="PATH")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where the extracted FMUs stay")
     options = parser.parse_args()
     findings, *others = options.paths
     if options.action == "compare":
         return min(1, compare(findings, *others))
+    if options.action == "agree":
+        return min(1, agree(options.paths))
     if options.action == "check":
         check(findings, others, options.keep)
     tables(findings)

@@ -47,17 +47,20 @@ def archive_is_zip(fmu: FmuFile) -> Iterator[str]:
     """The file is a zip archive, and every member unpacks to what its checksum says."""
     if problem := fmu.archive_problem or fmu.too_large:
         yield problem
-    if problem or _last_part(fmu):  # the latter is a rule of its own
+    # `archive-is-one-file` reports a split archive
+    if problem or _last_part(fmu):
         return
     with zipfile.ZipFile(fmu.path) as archive:
         for member in fmu.members:
             if member.flag_bits & _ENCRYPTED or member.compress_type not in _METHODS:
-                continue  # rules of their own
+                # `archive-is-not-encrypted` and `archive-compression` report these
+                continue
             try:
                 with archive.open(member) as stream:
                     while stream.read(1 << 20):
                         pass
-            except Exception as error:  # each way of compression has its own errors
+            except Exception as error:
+                # each compression method has its own errors
                 yield f"{member.filename} is damaged: {error}"
 
 
@@ -164,25 +167,27 @@ def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
 
 
 def _missing_functions(library: Library, fmu: FmuFile) -> str:
-    """Returns the functions that the interfaces with the library's name as modelIdentifier have beside it."""
+    """Returns the missing functions of the interfaces whose modelIdentifier is the name of the library."""
     identifier = posixpath.basename(library.path).rpartition(".")[0]
     kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
     expected = {name for kind in kinds for name in signatures(_TYPES[kind])}
     return ", ".join(sorted(expected - library.exports))
 
 
+def _needed(library: Library, fmu: FmuFile, is_inside: bool) -> list[str]:
+    """Returns the libraries that one needs, of those inside the FMU or of the others."""
+    folder = posixpath.dirname(library.path)
+    return [name for name in library.needed if (f"{folder}/{name}" in fmu.paths) is is_inside]
+
+
 def _missing_libraries(library: Library, fmu: FmuFile) -> str:
     is_documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
-    missing = [
-        name for name in library.needed if f"{posixpath.dirname(library.path)}/{name}" not in fmu.paths
-    ]
-    return "" if is_documented else ", ".join(missing)
+    return "" if is_documented else ", ".join(_needed(library, fmu, is_inside=False))
 
 
 def _unsought_libraries(library: Library, fmu: FmuFile) -> str:
     is_sought = any(path.startswith(("$ORIGIN", "${ORIGIN}")) for path in library.search_paths)
-    inside = [name for name in library.needed if f"{posixpath.dirname(library.path)}/{name}" in fmu.paths]
-    return "" if is_sought else ", ".join(inside)
+    return "" if is_sought else ", ".join(_needed(library, fmu, is_inside=True))
 
 
 def _own_memory(library: Library, fmu: FmuFile) -> str:
@@ -191,8 +196,7 @@ def _own_memory(library: Library, fmu: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.LIBRARY, condition=no_library, rows=(
-    row("library-exports", _libraries,
-        (_missing_functions, "{path} does not export {value}")),
+    row("library-exports", _libraries, (_missing_functions, "{path} does not export {value}")),
     row("libraries-are-complete", _libraries, (_missing_libraries,
         "{path} needs {value}: expected it in the FMU, or documentation/externalDependencies.txt")),
     row("libraries-have-an-rpath", _libraries,

@@ -44,7 +44,8 @@ def _log(probe: Probe, _: str) -> Iterator[Action]:
 
 def _save(probe: Probe, _: str) -> Iterator[Action]:
     def action(script: Script) -> None:
-        slot = len(script.calls)  # no other state is in it
+        # the number of the call is a slot that no other state has
+        slot = len(script.calls)
         for method in methods:
             script.call(method, slot)
 
@@ -55,7 +56,7 @@ def _save(probe: Probe, _: str) -> Iterator[Action]:
 
 
 def _set(probe: Probe, state: str) -> Iterator[Action]:
-    """Yields what sets variables to their start values."""
+    """Yields actions that set variables to their start values."""
     at_first = {"I": values.settable_before, "M": values.settable_in_initialization}
     chosen = at_first.get(state, values.settable_while_stepping)(probe.fmu)
     pairs = values.start_values(chosen if state != "K" else values.continuous_reals(probe, "input"))
@@ -63,12 +64,13 @@ def _set(probe: Probe, state: str) -> Iterator[Action]:
 
 
 def _get(probe: Probe, state: str) -> Iterator[Action]:
-    # most FMUs answer when instantiated too, which harms nobody
+    # most FMUs answer when instantiated too, which does no harm
     if state != "I":
         at_first = values.readable_in_initialization(probe.fmu)
         variables = at_first if state == "M" else probe.fmu.variables
         yield from (do.glance(variables), do.glance(variables[::-1]))
-        for kind in KINDS if state == "K" else ():  # of which nothing else was read since the time was set
+        # each type is read first after the time is set, which may compute it alone
+        for kind in KINDS if state == "K" else ():
             yield from (do.set_time, do.glance([v for v in variables if v.base_kind == kind]))
 
 
@@ -88,7 +90,7 @@ def _directional_derivatives(probe: Probe, state: str) -> Iterator[Action]:
 
 
 def vectors(probe: Probe, state: str) -> Iterator[Action]:
-    """Yields what reads vectors that have elements: nominal values alone when instantiated."""
+    """Yields calls that read non-empty vectors; when instantiated, only nominal values."""
     for function in VECTORS[-1:] if state == "I" else VECTORS:
         if probe.fmu.is_model_exchange and probe.fmu.vector_length(function):
             yield do.call("vector", function)
@@ -99,9 +101,8 @@ def _complete_step(probe: Probe, _: str) -> Iterator[Action]:
         yield do.call("completed_integrator_step")
 
 
-# calls that 3.2.3 and 4.2.4 allow, with usual arguments; what leads to another state, and what a rule of its
-# own makes, is left out. What reads comes before what sets: by 4.2.4 a slave may refuse fmi2Get* after
-# fmi2Set* until fmi2DoStep
+# Calls that 3.2.3 and 4.2.4 allow, with usual arguments, but calls that lead to another state or that
+# another rule makes. Reading comes first: by 4.2.4 a slave may refuse fmi2Get* from fmi2Set* until fmi2DoStep
 _ALLOWED: tuple[tuple[str, Calls], ...] = (
     ("IMBCEKT", _log),
     ("IMBCEKT", _save),
@@ -155,7 +156,8 @@ def _tour(
     steps, enter = ((do.step(),), (*late, do.step())), (do.enter_continuous_time_mode,)
     states, later = "IMBCCT", (*steps, (do.step(), do.terminate))
     if probe.fmu.is_model_exchange:
-        iterated = do.step(), *enter  # the event of what was set is over
+        # the event of the settings before is over then
+        iterated = do.step(), *enter
         states, later = "IMEKEEEKT", (enter, (do.enter_event_mode,), *steps, iterated, (do.terminate,))
     script, rows = probe.script(name=NAME, logging=True, watched=True), dict[tuple[int, str], list[Reply]]()
     leads = (), initialise, (do.exit_initialization_mode,), *later

@@ -1,4 +1,4 @@
-"""Rules of the table of calls: what each state allows, what it forbids, and calls with wrong arguments."""
+"""Rules of the table of calls: allowed and forbidden calls of each state, and wrong arguments."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -26,7 +26,7 @@ _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
 
 
 def _finding(expected: str, words: str = "{reply.words}") -> str:
-    """Returns the words for a call that does not return what is expected; words: for its arguments."""
+    """Returns the message for a call with an unexpected status; words: for its arguments."""
     return (
         f"in the state {{reply.state!r}} {{reply.function}}{words} {{reply.status_name}}: expected {expected}"
     )
@@ -40,8 +40,9 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
     """
-    for reply in table.tour(probe).failed:  # of other statuses `statuses-are-legal` tells
-        probe.note_failure(reply, "allowed-calls-succeed")
+    # `statuses-are-legal` reports other statuses
+    for reply in table.tour(probe).failed:
+        probe.shared.failing[reply.function, reply.state] = "allowed-calls-succeed"
         yield f"in the state {reply.state!r}: {_cause(probe, reply)}"
 
 
@@ -62,7 +63,8 @@ def reset_in_every_state(probe: Probe) -> Iterator[Row]:
     """
     pairs = values.start_values(values.settable_before(probe.fmu)[: do.MOST_VARIABLES])
     taken = list[do.Pair]()
-    with suppress(NotJudgedError):  # a value that is refused is known
+    # the FMU may refuse start values, as another rule reports
+    with suppress(NotJudgedError):
         taken = do.accepted_together(probe, pairs)
     again = do.in_state("instantiated after fmi2Reset"), do.set_values(taken)
     return table.in_states(probe, "IMCEKTD", do.reset, *again, do.begin, do.step())
@@ -101,9 +103,8 @@ def states_are_set_by_reference(probe: Probe) -> Iterator[Row]:
 
 @differential("4.2.1, 4.2.4", condition=values.unless_claimed(values.INTERPOLATES))
 def input_derivatives_in_each_state(probe: Probe) -> Iterator[Row]:
-    """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
-    restrictions of fmi2SetReal, which cannot set inputs there; after fmi2Terminate they are refused, if
-    inputs are.
+    """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 restricts them as
+    fmi2SetReal, which cannot set inputs there. After fmi2Terminate they are refused if inputs are.
     """
     yield from table.in_states(probe, "I", do.set_derivatives(0.0), do.begin, do.step())
     sets = do.set_values(values.start_values(values.continuous_reals(probe, "input")))
@@ -118,8 +119,8 @@ def input_derivatives_in_each_state(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.2")
 def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
-    """A value reference that no variable has is an error to read and to set, also for derivatives, whose
-    order 0 is one too, and for those of inputs the reference of an output; the instance is freed then.
+    """Reading or setting an unknown value reference returns error, also for derivatives. So do derivatives of
+    order 0, and input derivatives of an output. The instance can then be freed.
     """
     reference = do.refused_reference(probe)
     finding = _finding("error", f" of the value reference {reference}, which is none,")
@@ -156,7 +157,7 @@ def constants_cannot_be_set(probe: Probe) -> Iterator[Row]:
 
 @differential("4.2.3", interface=CO_SIMULATION)
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[Row]:
-    """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
+    """fmi2GetXXXStatus returns ok, or discard for a status that it cannot retrieve; no other status."""
     kinds = [(kind, number) for number, (_, kind) in _STATUS_KINDS.items()]
     for kind, number in (*kinds, ("Integer", 0)):
         call, finding = do.call("status_of", kind, number), _finding("ok or discard")
@@ -165,7 +166,7 @@ def unknown_statuses_are_discarded(probe: Probe) -> Iterator[Row]:
 
 @differential("4.2.3", interface=CO_SIMULATION)
 def statuses_have_their_types(probe: Probe) -> Iterator[Row]:
-    """A status is given by the function of its type alone: another function returns discard."""
+    """Only the function of its type gives a status; another function returns discard or error."""
     for number, (name, right) in _STATUS_KINDS.items():
         for kind in sorted({"", *KINDS} - {right}):
             finding = _finding("error or discard", f" of {name}, which has another type,")

@@ -11,25 +11,18 @@ from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differ
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.events import (
-    Event,
-    change,
-    discrete_variables,
-    follow_at_once,
-    no_states,
-    of_events,
-)
+from fmus.compliance.rules import events
 from fmus.compliance.script import VECTORS, Action, Script
 from fmus.fmi.binding import DISCARD
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
-_SOLVED = 1e-5  # relative, of large values: what an iterative solver in the FMU may change
-_FAR = 1e4  # times a state: what many would discard
+_SOLVED = 1e-5  # relative, of large values: an iterative solver in the FMU may change them as much
+_FAR = 1e4  # times a state: many FMUs discard it
 _MOST_STATES = 20  # that are moved alone
 _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
 _rule_of_rows = partial(differential, interface=MODEL_EXCHANGE)
-_FOLLOWING = _DERIVATIVES, _INDICATORS  # what follows from time, states and inputs
+_FOLLOWING = _DERIVATIVES, _INDICATORS  # they follow from time, states and inputs
 _read = do.read_vectors(_FOLLOWING)
 
 
@@ -78,7 +71,7 @@ def _set_time(part: float) -> Action:
 def _move(part: float, alone: int | None = None) -> Action:
     """Sets states of a part of the step, and no time.
 
-    alone: index of a state, if the others are those of the part 0.3
+    alone: index of a state, if the others belong to the part 0.3
     """
 
     def action(script: Script) -> None:
@@ -112,15 +105,16 @@ def _row(
 
 @_rule("3.2.1")
 def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
-    """Derivatives and event indicators follow from time, states and inputs alone: setting time and states
-    back gives them again, and another time, or other states at the same time, give those of it. So do
-    continuous variables after another time, in whatever order they are read.
+    """Derivatives and event indicators depend only on time, states and inputs. They are the same again after
+    time and states are set back, and right after another time or other states. So are continuous variables,
+    in any reading order.
     """
     back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
     moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
     fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
-    variables = sorted(follow_at_once(probe.fmu), key=lambda v: v.reference or 0)  # aliases side by side
+    # variables with one reference stand side by side, and so become a pair
+    variables = sorted(events.follow_at_once(probe.fmu), key=lambda v: v.reference or 0)
     follow, pairs = do.read(variables), [*pairwise(variables[: do.MOST_VARIABLES])]
     first, second = (
         chain(*((_go(part), do.read(pair[::order])) for part, pair in zip(cycle((0.3, 0.6)), pairs)))
@@ -138,17 +132,17 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
         _row("where another variable is read with it", [*first], [*second]),
     ]
 
-    def read_twice(event: Event) -> Iterator[str]:
+    def read_twice(event: events.Event) -> Iterator[str]:
         _, z, once_more = event.crossing
         scale = 1e-3 * max(map(abs, event.indicators), default=0.0)
-        if words := change("event indicator", z, once_more, _SOLVED, scale):
+        if words := events.change("event indicator", z, once_more, _SOLVED, scale):
             where = f"where the continuous-time mode after {event.words} ends"
             yield f"{words}, read once more {where}: expected the same value"
 
-    yield from [*of_events(probe, read_twice)] or differences(probe, rows)
+    yield from [*events.of_events(probe, read_twice)] or differences(probe, rows)
 
 
-@_rule("3.2.1, 3.2.2", condition=no_states)
+@_rule("3.2.1, 3.2.2", condition=events.no_states)
 def discarded_states_can_be_replaced(probe: Probe) -> Iterator[str]:
     """After states that the FMU discards, or whose derivatives it does, it takes the states before, and gives
     their derivatives.
@@ -174,7 +168,7 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     as far as to the completed step before, or to the event before, and gives the derivatives of that time.
     """
     begin = _go(0.0), do.expect(_read), _go(0.3), _go(0.0), _read
-    yield _row("after time was set back to that of the event", begin, failing="back at the event's time")
+    yield _row("after time was set back to the event's time", begin, failing="back at the event's time")
     complete = [] if probe.fmu.claims(_NOT_NEEDED) else [do.call("complete_step")]
     first = _go(0.3), *complete, _go(0.5)
     yield _row("after a completed step without an event, in continuous-time mode still", (*first, _ask))
@@ -194,11 +188,11 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
     if any(reply.value or ()):
         yield f"{reply.function} asks for event mode or an end of the simulation: expected neither"
 
-    def asked(event: Event) -> Iterator[str]:
+    def asked(event: events.Event) -> Iterator[str]:
         if event.cause == "step event":
             yield f"{reply.function} asks for {event.words}: expected that it need not be called"
 
-    yield from of_events(probe, asked, **options)
+    yield from events.of_events(probe, asked, **options)
     over = do.begin, *(do.leap(1, True), do.read_all()) * 3
     called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
@@ -207,7 +201,7 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
 @_rule("3.1")
 def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     """Discrete variables do not change in continuous-time mode, whatever time, states and inputs are."""
-    chosen = discrete_variables(probe.fmu)
+    chosen = events.discrete_variables(probe.fmu)
     read = do.read(chosen)
 
     def mirrored(sign: int) -> Action:
@@ -225,10 +219,10 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
     varied = *first, *moved, _set_time(0.5), *moved, *chain(*((change, read) for change in sets))
     row = Row("in continuous-time mode", varied, (), may_fail=True)
 
-    def left(event: Event) -> Iterator[str]:
+    def left(event: events.Event) -> Iterator[str]:
         for v in chosen if event.left else ():
             if not values.same(a := event.values[v.name], b := event.left[v.name]):
                 mode = f"in continuous-time mode after {event.words}"
                 yield f"{v.name} changes from {a!r} to {b!r} {mode}: expected {a!r}"
 
-    yield from [*of_events(probe, left)] or differences(probe, [row])
+    yield from [*events.of_events(probe, left)] or differences(probe, [row])

@@ -26,7 +26,7 @@ _FAR = 10.0  # times: a derivative of one communication point, and not of the ne
 _INTERPOLATES = values.unless_claimed(values.INTERPOLATES)
 _STEPS = 8
 _SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
-_BEYOND = 1.5  # times the effect of the value that an input reaches: more is none of its steps
+_BEYOND = 1.5  # times the effect of the value that an input reaches: no step moves outputs more
 _FELT = 0.1  # of the effect of the input, at least: of a response by n integrators it is 1 / (n + 1)
 
 
@@ -67,9 +67,7 @@ class Column:
     def changed(self, tolerance: float = NOISE) -> set[str]:
         """Returns the names of the unknowns that differ between the first run and another."""
         first, *others = self.rows
-        return {
-            name for row in others for name, x in first.items() if not values.same(x, row[name], tolerance)
-        }
+        return {n for row in others for n, x in first.items() if not values.same(x, row[n], tolerance)}
 
 
 def columns(
@@ -97,8 +95,8 @@ def columns(
 def followers(
     probe: Probe, before: Sequence[Action], known: Variable, value: Any, after: Sequence[Action]
 ) -> set[str]:
-    """Returns the names of the unknowns that change when a known has another value, by more than an iteration
-    leaves: not as much between two values that are almost one. Arguments as of `columns`.
+    """Returns the names of the unknowns that change with the value of a known, by more than an iterative
+    solver leaves: two nearly equal values give a smaller change. Arguments as in `columns`.
     """
     start = values.start_value(known)
     (column,) = columns(probe, before, [(known, (start, value))], after)
@@ -132,7 +130,8 @@ class Slopes:
         """Returns a message if over half of the derivatives are wrong, and not 0."""
         pairs = zip(self._derivatives[1:-1], self._sides, strict=True)
         wrong = [(x, *sides) for x, sides in pairs if x and self._is_wrong(x, *sides)]
-        if len(wrong) <= (len(self._sides) + 1) // 2:  # a jump or an event is not a wrong derivative
+        # a jump or an event makes few derivatives differ
+        if len(wrong) <= (len(self._sides) + 1) // 2:
             return ""
         shown = values.texts(*wrong[0])
         return f"its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
@@ -159,9 +158,9 @@ def _orders(fmu: FmuFile) -> str:
 
 
 def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) -> dict[str, Slopes]:
-    """Returns derivatives of an order of continuous outputs beside the slopes of those of one less, after
-    steps of a part of the step size from a start of runs; none where short steps fail. Raises CallError where
-    steps of the usual size fail.
+    """Returns output derivatives of one order beside the slopes of the next lower order, after steps of a
+    part of the step size from a start of runs; nothing where short steps fail. Raises CallError where steps
+    of the usual size fail.
     """
     size, outputs = part * probe.step_size, values.continuous_reals(probe, "output")
     read = do.read_slopes(outputs, order=order - 1), do.read_slopes(outputs, order=order)
@@ -184,9 +183,9 @@ def _output_slopes(probe: Probe, order: int, start: Start, part: float = 1.0) ->
 
 @behaviour_rule("4.2.1", condition=_orders)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
-    """A derivative of an output is 0, where its order is lower, or the slope of what is of one order less:
-    near the difference quotients before and after it, the higher the order the less near; at the begin of a
-    run and later in it. That of an output that is not continuous is 0.
+    """A derivative of an output is the slope of the next lower order, or 0 if the FMU has a lower order. It
+    is near the difference quotients before and after it, less near for a higher order, early and late in a
+    run. The derivative of a discrete output is 0.
     """
     discrete = [v for v in probe.outputs if v.kind == "Real" and v.variability != "continuous"]
     for reading in do.played(probe, [do.begin, do.step(2), do.read_slopes(discrete)]).readings:
@@ -201,9 +200,10 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
             of += start.words
             if wrong and (not short or (name in short and short[name].wrong())):
                 yield f"{of}: {wrong}"
-            both = slopes, short.get(name, slopes)  # an event in a usual step hides it
+            # an event in a usual step may hide the error
+            both = slopes, short.get(name, slopes)
             if order == 1 and not wrong and any(series.are_late() for series in both):
-                yield f"{of}: its derivative is that of the step's begin: expected that of its end"
+                yield f"{of}: its derivative is the slope at the step's begin: expected the slope at its end"
 
 
 # derivatives of inputs
@@ -225,16 +225,17 @@ def input_derivatives(probe: Probe) -> Iterator[Row]:
 
 @behaviour_rule("4.2.1", condition=_INTERPOLATES)
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
-    """The derivative of an input that outputs follow moves them, in the direction of the input itself, and
-    not beyond where its value at the end of the step brings them.
+    """The derivative of an input moves outputs that follow the input, in the same direction, and at most as
+    far as the value that it reaches.
     """
     inputs = _inputs_by_effect(probe)
     for v in inputs["too far"]:
-        yield f"the derivative of {v.name} moves outputs more than what it reaches in a step: expected less"
+        more = "more than the value that it reaches in a step"
+        yield f"the derivative of {v.name} moves outputs {more}: expected less"
     if inputs["backwards"]:
         yield f"the derivative of {inputs['backwards'][0].name} moves outputs against the input in a step"
     for v in inputs["none"]:
-        effect = "no effect in a step, or a tenth of that of its value at most"
+        effect = "no effect in a step, or at most a tenth of the effect of its value"
         yield f"the derivative of {v.name} has {effect}, though canInterpolateInputs is true"
 
 
@@ -257,7 +258,8 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
         held, raised, halfway, moving = (rows[0] for rows in runs) if all(runs) else ({},) * 4
         names = [
             name
-            for name, x in held.items()  # a solver that begins anew moves as much whatever is set
+            # a solver that begins anew moves outputs as much for any value
+            for name, x in held.items()
             if isinstance(x, float) and abs(raised[name] - halfway[name]) > _FELT * abs(raised[name] - x)
         ]
         pairs = [(raised[name] - held[name], moving[name] - held[name]) for name in names]

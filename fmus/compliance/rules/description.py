@@ -15,9 +15,7 @@ from fmus.compliance.variable import Variable, integer, is_true, number
 from fmus.errors import nearest
 
 _DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\dZ")
-_UTF_8 = re.compile(
-    rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.IGNORECASE
-)
+_UTF_8 = re.compile(rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.I)
 _NOT_UTF_8 = (
     lambda file, _: not _UTF_8.match(file[1]) and file[1][:40],
     '{subject[0]} begins {value!r}: expected <?xml version="1.0" encoding="UTF-8"?>',
@@ -31,11 +29,11 @@ _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
 )  # fmt: skip
-_RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.IGNORECASE)  # names of devices on Windows
+_RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.I)  # names of devices on Windows
 _LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
 _ROUNDED = 1e-4  # relative: tools write factors with as few as five digits, and wrong ones are far away
 _DEGREES, _TURNS = math.degrees(1.0), 30 / math.pi  # in a radian, and in a minute at 1 rad/s
-_DISPLAYED = {  # factor and offset of a display unit; what it shows is factor value + offset
+_DISPLAYED = {  # factor and offset of a display unit: it shows factor value + offset
     "degC of K": (1.0, -273.15), "degF of K": (1.8, -459.67), "deg of rad": (_DEGREES, 0.0),
     "deg/s of rad/s": (_DEGREES, 0.0), "rpm of rad/s": (_TURNS, 0.0), "rev/min of rad/s": (_TURNS, 0.0),
     "km/h of m/s": (3.6, 0.0), "mm of m": (1e3, 0.0), "cm of m": (1e2, 0.0), "km of m": (1e-3, 0.0),
@@ -51,9 +49,7 @@ def description_is_readable(fmu: FmuFile) -> Iterable[str]:
     return {fmu.description_problem} - {"", fmu.NO_DESCRIPTION}
 
 
-@rule(
-    "2.2.1", Stage.FILE, condition=lambda fmu: fmu.description_problem and "there is no description to read"
-)
+@rule("2.2.1", Stage.FILE, condition=lambda fmu: fmu.description_problem and "no description can be read")
 def fmi_version(fmu: FmuFile) -> Iterable[str]:
     """fmiVersion is 2.0, or 3.0 for an FMU of that version."""
     is_known = fmu.version == "2.0" or fmu.is_fmi3
@@ -127,11 +123,11 @@ def _display_unit_problem(v: Variable, fmu: FmuFile) -> str:
 
 
 def _wrong_display_unit(display: Any, _: FmuFile) -> str:
-    """Returns factor and offset of a display unit that its name tells to be others, with those."""
+    """Returns factor and offset of a display unit, and expected ones by its name, if they differ."""
     unit, pairs = display.getparent().get("name"), (("factor", "1"), ("offset", "0"))
     stated = [number(display.get(name, default)) or 0.0 for name, default in pairs]
     known = _DISPLAYED.get(f"{display.get('name')} of {unit}")
-    # a factor of 0 is a rule of its own
+    # `unit-factors` reports a factor of 0
     if not known or not stated[0] or all(map(partial(math.isclose, rel_tol=_ROUNDED), stated, known)):
         return ""
     got, expected = (f"factor {factor:g} and offset {offset:g}" for factor, offset in (stated, known))

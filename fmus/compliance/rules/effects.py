@@ -1,6 +1,4 @@
-"""Effects of variables on others: what ModelStructure and directional derivatives say of them, beside finite
-differences.
-"""
+"""Dependencies of ModelStructure and directional derivatives, compared with finite differences."""
 
 import itertools
 import math
@@ -77,12 +75,10 @@ def dependencies_are_declared(probe: Probe) -> Iterator[str]:
         (run,) = values_of(probe, [(*actions, read, *sets)])
         pairs = [*taken, *(pair for pair in pairs if pair not in taken)]
         for i, (known, value) in enumerate(pairs):
-            independent = [
-                u.variable for u in unknowns if not u.depends_on(known) and u.variable is not known
-            ]
-            names = {v.name for v in independent}
+            unlisted = [u.variable for u in unknowns if not u.depends_on(known) and u.variable is not known]
+            names = {v.name for v in unlisted}
             if i + 1 >= len(run) or any(run[0][name] != run[i + 1][name] for name in names):
-                changed = followers(probe, actions, known, value, [do.read(independent)])
+                changed = followers(probe, actions, known, value, [do.read(unlisted)])
                 for name in sorted(changed):
                     yield f"{name} changes with {known.name} in {mode}: {_TO_BE_LISTED}"
 
@@ -125,10 +121,9 @@ def _groups_at_first(fmu: FmuFile) -> Sequence[_Group]:
 
 @_partial_rule()
 def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
-    """The derivatives of continuous outputs and state derivatives in step mode lie near difference quotients:
-    for co-simulation after initialisation with other values, those of runs with other inputs and states at
-    first; for model exchange in continuous-time mode, beside other inputs and states there, and in event mode
-    as where that begins.
+    """The derivatives of continuous outputs and state derivatives lie near difference quotients: for
+    co-simulation after initialisation with other values, between runs with other inputs and initial states;
+    for model exchange in continuous-time mode, with other inputs and states. In event mode they are the same.
     """
     settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
     states = _states(probe.fmu)
@@ -148,13 +143,14 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
             if not values.same(x, y, _AGREEMENT, NOISE / _AGREEMENT):
                 got = f"d {v.name} / d {known.name} is {x:.9g} in event mode"
                 yield f"{got}: expected {y:.9g}, as in continuous-time mode after it"
-    reals = [v for v in values.settable_while_stepping(probe.fmu) if v.kind == "Real"]  # no case is another
+    # Integers and Booleans would lead to other cases
+    reals = [v for v in values.settable_while_stepping(probe.fmu) if v.kind == "Real"]
     others = do.set_values(do.others_accepted(probe, reals, do.begin, do.step()))
     for lead in ((do.leap(2, True), others, do.step()), *(start.lead for start in starts(probe)[1:])):
         begin = do.begin, *lead, do.enter_continuous_time_mode
         (run,) = values_of(probe, [(*begin, do.read(knowns))])
         point = [(v, run[0][v.name]) for v in knowns if run]
-        # at a limit, where such a known stays, what is computed may be that of the side beyond
+        # a known at a limit stays there, and its derivative may belong to the side beyond
         inside = [v for v, x in point if v.low < x < v.high]
         here = [group for group in groups if group[0] in inside]
         yield from _beside_quotients(probe, (do.set_time,), here, point, begin)
@@ -175,22 +171,22 @@ def _beside_quotients(
     refused = next((reply for reply in replies if not reply.ok), None)
     if refused and not exit_mode:
         raise CallError(refused.problem)
-    # 4.2.4 lets only outputs and initial unknowns be read in initialization mode
+    # 4.2.4 allows reading only outputs and initial unknowns in initialization mode
     held = [*_states(probe.fmu), *discrete_variables(probe.fmu)] if exit_mode else []
     read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *held)}.values())
     knowns = list[tuple[Variable, Sequence[float]]]()
     for known, _ in judged:
         _, start = point[known.index]
         width = _DIFFERENCE * max(1.0, abs(start))
-        knowns.append(
-            (known, [start, *(x for x in (start - width, start + width) if known.low <= x <= known.high)])
-        )
+        sides = [x for x in (start - width, start + width) if known.low <= x <= known.high]
+        knowns.append((known, [start, *sides]))
     in_turn = begin != _INITIALIZATION
     found = columns(probe, begin, knowns, (*exit_mode, read), others, in_turn)
     for (known, unknowns), reply, column in zip(judged, replies, found, strict=True):
         if not reply.ok or column.xs[:1] != [point[known.index][1]] or len(column.xs) < 2:
             continue
-        if column.changed(0.0) & {v.name for v in held if v is not known}:  # they follow the known at once
+        # the difference quotient then crosses an event or moves a state
+        if column.changed(0.0) & {v.name for v in held if v is not known}:
             continue
         where = f" in the state {reply.state!r}" if exit_mode else ""
         for v, derivative in zip(unknowns, reply.value, strict=True):

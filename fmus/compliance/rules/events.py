@@ -20,7 +20,7 @@ from fmus.compliance.variable import Variable, is_true
 
 _STEPS, _FEW_STEPS = 50, 5  # of the run
 _NEAR = 1e-3  # of the run: solvers find events that time events follow at other times
-_SOLVED = 1e-6  # relative: what an iterative solver in the FMU may change
+_SOLVED = 1e-6  # relative: an iterative solver in the FMU may change values as much
 _JUMP = 0.01  # of an indicator of the order of one, in a millionth of a step
 _NO_EVENT = "communication point"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
@@ -47,9 +47,7 @@ def follow_at_once(fmu: FmuFile) -> list[Variable]:
 def elements_of_vectors(fmu: FmuFile) -> dict[str, list[Variable]]:
     """Returns function -> the variables that are elements of its vector: states, and their derivatives."""
     indices = fmu.state_derivatives.values(), fmu.state_derivatives.keys()
-    return {
-        name: [fmu.variables[i - 1] for i in some] for name, some in zip(VECTORS[:2], indices, strict=True)
-    }
+    return {name: [fmu.variables[i - 1] for i in some] for name, some in zip(VECTORS, indices, strict=False)}
 
 
 def _by_name(groups: dict[str, list[Variable]], values: dict[str, Sequence[Any]]) -> dict[str, Any]:
@@ -100,7 +98,7 @@ class Event:
 def change(
     name: str, before: Sequence[float], after: Sequence[float], tolerance: float = 0.0, scale: float = 0.0
 ) -> str:
-    """Returns the first change of a vector in words, or nothing; tolerance and scale as of `same`."""
+    """Returns the first change of a vector in words, or nothing; tolerance and scale as in `same`."""
     for i, (a, b) in enumerate(zip(before, after, strict=False), 1):
         if not same(a, b, tolerance, scale):
             old, new = texts(a, b)
@@ -130,7 +128,8 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
             script.write([do.set_values(begins.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)
         observed = script.call("observed_events")
-        with suppress(NotJudgedError):  # a step that is discarded ends the run
+        # a discarded step ends the run
+        with suppress(NotJudgedError):
             script.play(keep_going=True)
         events = list[Event]()
         for fields in observed.value or []:
@@ -175,7 +174,7 @@ _event_rule = partial(rule_of, of_events, interface=MODEL_EXCHANGE)
 @_rule("2.2.8", condition=no_states)
 def vectors_have_the_order_of_the_description(probe: Probe) -> Iterator[str]:
     """States and derivatives as vectors have the values and the order of the variables of Derivatives, after
-    events, and where continuous-time mode ends; nominal values at the start are not those of other states.
+    events, and where continuous-time mode ends. Nominal values at the start have the order of the states.
     """
     of_vectors = elements_of_vectors(probe.fmu)
     if len(of_vectors[VECTORS[0]]) != probe.fmu.vector_length(VECTORS[0]):
@@ -265,7 +264,8 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     usual, *others = (reason for _, reason in _runs(probe))
     ends = [usual, *(f"with other inputs {reason}" for reason in others)]
     pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
-    reals = [pair for pair in pairs if pair[0].kind == "Real"]  # which have many values, and seldom cases
+    # Reals have many values and seldom distinguish cases, so one run sets all
+    reals = [pair for pair in pairs if pair[0].kind == "Real"]
     for some in (reals, *([pair] for pair in pairs if pair not in reals)):
         failure = do.played(probe, [do.begin, do.set_values(some), do.step()]).failure
         names = ", ".join(v.name for v, _ in some)
@@ -278,7 +278,8 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
 @_rule("advice: an importer of several FMUs calls it as often as one of them needs")
 def ended_events_stay_ended(probe: Probe) -> Iterator[str]:
     """One more call of fmi2NewDiscreteStates changes nothing where newDiscreteStatesNeeded is false."""
-    derivatives = {v.name for v in elements_of_vectors(probe.fmu)[VECTORS[1]]}  # near 0 they are roundings
+    # derivatives near 0 are rounding errors
+    derivatives = {v.name for v in elements_of_vectors(probe.fmu)[VECTORS[1]]}
     for event in _run(probe, again=True)[0]:
         for name, b in event.again.items():
             if name not in derivatives and not same(a := event.values[name], b, _SOLVED):
@@ -297,15 +298,16 @@ def next_events_are_ahead(event: Event) -> Iterator[str]:
 
 @_rule("3.1")
 def changes_have_events(probe: Probe) -> Iterator[str]:
-    """Discrete variables change at time, state and step events, and where something is set, or a step after
-    it, not whenever event mode is entered, but for a Real one that follows a continuous one.
+    """Discrete variables change at time, state and step events, and within a step after something is set.
+    Entering event mode alone changes none, except a Real that follows a continuous variable.
     """
     variables, near = discrete_variables(probe.fmu), _NEAR * probe.step_size
 
     def is_judged(event: Event) -> bool:
         before = event.previous
         if event.cause != _NO_EVENT or event.is_after_set or before is None or not before.left:
-            return False  # nothing was integrated before it
+            # nothing was integrated before the event
+            return False
         last = before.infos[-1] if before.infos else {}
         return not last.get("nextEventTimeDefined") or abs(last["nextEventTime"] - event.time) > near
 
@@ -315,14 +317,15 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
         return () if same(*pair, _SOLVED) else pair
 
     def changes(events: Sequence[Event]) -> Iterator[str]:
-        # what changes at a communication point may make another change a step later
+        # a variable that changes at a communication point may change another a step later
         others = [v for v in variables if v.kind != "Real"]
         begun = {e.time for e in events if e.cause == _NO_EVENT and any(change_of(v, e) for v in others)}
         judged = [e for e in events if is_judged(e) and e.previous and e.previous.time not in begun]
         for v in variables:
             changed = [(event, pair) for event in judged if (pair := change_of(v, event))]
             if v.kind == "Real" and len(changed) > len(judged) / 2:
-                continue  # it follows a continuous one whenever event mode is entered
+                # it follows a continuous variable whenever event mode is entered
+                continue
             for event, (a, b) in changed:
                 yield f"{v.name} changes from {a!r} to {b!r} at {event.words}: expected a time or state event"
 
@@ -331,8 +334,8 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
 
 @_rule("3.1")
 def time_events_are_defined_anew(probe: Probe) -> Iterator[str]:
-    """Time events of a run with few communication points, at which event mode is entered, occur in one with
-    many: each event removes the next time event, which is defined anew.
+    """Time events of a run with few communication points occur in a run with many. Event mode is entered at
+    each point, which removes the next time event: the FMU has to define it anew.
     """
     (few, _), (many, _) = _run(probe, steps=_FEW_STEPS), _run(probe)
     times = [event.time for event in many]

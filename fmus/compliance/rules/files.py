@@ -26,7 +26,7 @@ _HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other v
 )
 _TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
 _DEPENDENCIES, _LICENSES = "documentation/externalDependencies.", "documentation/licenses/"
-_NO_PAGES = (_DEPENDENCIES, _LICENSES)  # which are entered otherwise than by index.html
+_NO_PAGES = (_DEPENDENCIES, _LICENSES)  # they need no index.html
 _RESERVED = ("extra/org.modelica", "extra/org.fmi-standard")
 _LAYERED_STANDARD = re.compile(r"extra/org\.(?:modelica|fmi-standard)\.fmi-ls-[a-z0-9-]+/?")
 _VARIABLES_OF_TERMINALS = """
@@ -197,8 +197,10 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
     identifier = f"(?:{'|'.join(map(re.escape, identifiers))})"
     for folder in fmu.platforms() if identifiers else ():
         extension, top = _extension(folder), f"binaries/{folder}/"
-        static = rf"{top}.+/(?:{identifier}\.(?:lib|a)|lib{identifier}\.a)"  # in a compiler's folder
-        case = "(?i)" if extension == ".dll" else ""  # Windows does not tell upper from lower case
+        # static libraries lie in a folder of the compiler
+        static = rf"{top}.+/(?:{identifier}\.(?:lib|a)|lib{identifier}\.a)"
+        # Windows ignores case
+        case = "(?i)" if extension == ".dll" else ""
         library = re.compile(rf"{case}{top}{identifier}{re.escape(extension)}|{static}")
         if extension and not any(map(library.fullmatch, fmu.names)):
             expected = " or ".join(f"{name}{extension}" for name in identifiers)
@@ -207,7 +209,7 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
 
 @rule(CLAUSE, Stage.DESCRIPTION)
 def source_files_are_complete(fmu: FmuFile) -> Iterator[str]:
-    """The files in SourceFiles call no function that other C files alone define, and define those of FMI."""
+    """The files in SourceFiles define every function that they call and other C files define, and FMI's."""
     for interface in filter(_listed, _interfaces(fmu)):
         compiled = _compiled(fmu, _listed(interface))
         text = b"\n".join(compiled.values())
@@ -249,8 +251,8 @@ def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
 
 @rule(CLAUSE, Stage.FILE, condition=unreadable)
 def included_files_exist(fmu: FmuFile) -> Iterator[str]:
-    """Files that C files include by quotes, in no #if, are among the sources, but for those of FMI and C.
-    Where SourceFiles lists files, those are judged, and those that others include.
+    """Files that C files include by quotes, outside of #if, are among the sources, except headers of FMI and
+    C. Where SourceFiles lists files, only these and the files that they include are judged.
     """
     known = {posixpath.basename(path) for path in _files(fmu, _SOURCES)}
     listed = [name for interface in _interfaces(fmu) for name in _listed(interface)]
@@ -296,7 +298,7 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
 
 
 def _between(text: bytes) -> bytes | None:
-    """Returns what stands between FMI2_FUNCTION_PREFIX and fmi2Functions.h; None in the other order."""
+    """Returns the text between FMI2_FUNCTION_PREFIX and fmi2Functions.h; None in the other order."""
     lines = _unconditional(text)
     define, include = _PREFIX.search(lines), _FUNCTIONS.search(lines)
     if not define or not include:
@@ -305,7 +307,7 @@ def _between(text: bytes) -> bytes | None:
 
 
 def _unconditional(text: bytes) -> bytes:
-    """Returns the lines that every compiler reads: those in no #if but the guard of a header."""
+    """Returns the lines that every compiler reads: outside of #if, except the guard of a header."""
     lines, depth = [], 0
     for line in _GUARD.sub(b"", text).splitlines():
         directive = _DIRECTIVE.match(line)
@@ -357,4 +359,4 @@ def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
             yield f"{TERMINALS}: {name.attrname} {name!r}: expected the name of a variable"
     for name in root.xpath(_NAMES_OF_TERMINALS):
         where = f"{TERMINALS}, line {name.getparent().sourceline}"
-        yield f"{where}: {name.attrname} {name!r} is that of another: expected one"
+        yield f"{where}: {name.attrname} {name!r} is another one's, too: expected a unique one"

@@ -71,7 +71,8 @@ def _formats(probe: Probe) -> list[Message]:
         options = {"name": _NAME_WITH_A_PERCENT_SIGN, "callbacks": "formats"}
         calls = do.begin, do.step(MANY_STEPS), do.glance_all, do.terminate, wrong
         scripts = [do.played(probe, calls, logging=True, **options)]
-        with suppress(rule.NotApplicableError):  # few steps
+        # the default experiment may have too few steps
+        with suppress(rule.NotApplicableError):
             scripts.append(do.played(probe, (do.begin, do.leap(3)), logging=True, **options))
         return [m for script in scripts for reply in script.everything for m in reply.messages]
 
@@ -92,7 +93,8 @@ def _undeclared(message: Message, probe: Probe) -> str:
 def _unknown_variable(message: Message, probe: Probe) -> str:
     found = _REFERENCE.findall(message.text.replace("##", ""))
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
-    asked = values.unknown_reference(probe.fmu) if found else 0  # the answer may name it
+    # the FMU may name a wrong reference that it was asked for
+    asked = values.unknown_reference(probe.fmu) if found else 0
     return next((f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known), "")
 
 
@@ -130,7 +132,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     told = set[tuple[str, str, str]]()
     for reply in (reply for script in scripts for reply in script.everything):
         for setting, before, after in reply.changed:
-            # of several calls the last one is told, which is not the cause
+            # a step is many calls, and its reply names the last one, which is not the cause
             if reply.is_step and (setting, before, after) in told:
                 continue
             told.add((setting, before, after))
@@ -144,16 +146,13 @@ def _set_odd_parameters(probe: Probe) -> None:
     """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse, and a
     fixed one of each type at a communication point, which it does.
     """
-    parameters = [
-        v for v in values.settable_before(probe.fmu) if values.keeps_its_value(v) and v.kind == "Real"
-    ]
+    settable = values.settable_before(probe.fmu)
+    parameters = [v for v in settable if values.keeps_its_value(v) and v.kind == "Real"]
     starts = values.start_values(parameters[: do.MOST_VARIABLES])
     pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]
     ways = [(do.set_values([pair]),) for pair in pairs]
     fixed = [v for v in probe.fmu.variables if (v.causality, v.variability) == ("parameter", "fixed")]
-    late = {
-        v.base_kind: (do.begin, do.step(), do.set_values([(v, x)])) for v, x in values.start_values(fixed)
-    }
+    late = {p[0].base_kind: (do.begin, do.step(), do.set_values([p])) for p in values.start_values(fixed)}
     probe.play_once([probe.script(*way, logging=True) for way in (*ways, *late.values())])
 
 
@@ -173,7 +172,7 @@ def _illegal(reply: Reply, probe: Probe) -> str:
     is_wrong |= reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")
     if reply.status is None or reply.reason or (OK <= reply.status <= PENDING and not is_wrong):
         return ""
-    probe.note_failure(reply, "statuses-are-legal")
+    probe.shared.failing[reply.function, reply.state] = "statuses-are-legal"
     legal = f": expected an fmi2Status, 0 to {PENDING}"
     return f", which it may not: {reply.logged}" if is_wrong else legal
 
@@ -181,8 +180,7 @@ def _illegal(reply: Reply, probe: Probe) -> str:
 _WRONG_STATUS = (_illegal, "{function} {status_name}{value}")
 _WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
 add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
-    row("log-category-of-a-refusal-is-declared", _refusal,
-     _WRONG_CATEGORY),
+    row("log-category-of-a-refusal-is-declared", _refusal, _WRONG_CATEGORY),
     row("formats-of-messages-are-legal", _formats,
      (lambda m, _: _NAME_WITH_A_PERCENT_SIGN in m.text,
       f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
@@ -221,8 +219,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
       "the logger was called without the componentEnvironment of its instance"),
      (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
       "a message carries the instance name {value}: expected {given_name!r}, its instance")),
-    row("log-categories-are-declared", _log,
-     _WRONG_CATEGORY),
+    row("log-categories-are-declared", _log, _WRONG_CATEGORY),
     row("messages-have-a-category", _log,
      (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
       "a message has no category: expected one of {value}")),
@@ -295,7 +292,8 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
         actions = do.pause, *settings, do.begin, *late, *_CALLS_THAT_LOG[1:], *(() if settings else again)
         scripts = [probe.script(*some, logging=logging) for some in (others, actions) if some]
         if len(scripts) == 1 or not probe.fmu.claims(ONLY_ONCE):
-            with suppress(CallError):  # no second instance
+            # the FMU may refuse a second instance
+            with suppress(CallError):
                 probe.play(*scripts, keep_going=True)
         if scripts[-1].succeeded:
             yield _Run(when, enabled, _sent(scripts[-1], declared))

@@ -1,4 +1,4 @@
-"""Start values, setting variables, what is read then, and what fmi2Reset gives back."""
+"""Start values, setting and reading variables, and values after fmi2Reset."""
 
 from collections.abc import Iterable, Iterator
 from itertools import chain
@@ -67,8 +67,8 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
-    """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
-    was set before it stays.
+    """fmi2SetupExperiment may be called again: the last call counts for start and stop time, and values that
+    were set before stay.
     """
     another = do.call("set_up_experiment", probe.point(7), probe.point(8))
     yield Row("after a second fmi2SetupExperiment", (another, do.begin, do.run(2)))
@@ -76,8 +76,8 @@ def set_up_can_be_repeated(probe: Probe) -> Iterator[Row]:
 
 @behaviour_rule("4.1.2")
 def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
-    """Continuous outputs that have the same values in initialization mode and after it, where the start time
-    is that of the default experiment, have so where it is another one.
+    """Continuous outputs that keep their values when initialization mode ends, with the start time of the
+    default experiment, also keep them with another start time.
     """
     outputs = values.continuous_reals(probe, "output")
     read, inputs = do.read(outputs), values.start_values(values.settable_while_stepping(probe.fmu))
@@ -100,15 +100,11 @@ def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
 
 @differential("2.1.7")
 def values_are_set_together(probe: Probe) -> Iterator[Row]:
-    """Several variables that are set in one call have the values that they have if each is set in a call of
-    its own.
-    """
+    """Several variables that one call sets have the same values as if each were set in a separate call."""
     pairs = values.other_values(values.settable_in_initialization(probe.fmu))
     of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][: do.MOST_VARIABLES] for kind in KINDS]
     taken = do.accepted_together(probe, list(chain(*of_kinds)), do.initialise)
-    several = [
-        chosen for of_kind in of_kinds if len(chosen := [pair for pair in of_kind if pair in taken]) > 1
-    ]
+    several = [chosen for group in of_kinds if len(chosen := [pair for pair in group if pair in taken]) > 1]
     if not several:
         raise NotApplicableError("no two variables of one type take other values in initialization mode")
     for ordered in [*several, *(chosen[::-1] for chosen in several)]:
@@ -244,7 +240,8 @@ def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
             when = f"where it had been read in {mode} before {v.name} was set"
             varied = *first, do.glance(readable), *end
             yield Row(when, varied, (*first, *end), tolerance=_ROUNDED, may_fail=True)
-        if mode != "initialization mode":  # as if time had been set, which computes anew
+        # setting the time computes variables anew, so it gives the expected values
+        if mode != "initialization mode":
             # an event iteration ends first, after which relations that follow what is set are frozen
             iterate, into = ((), ()) if begin[1:] else ((do.call("new_discrete_states"),) * 3, (enter,))
             set_all = do.start, *begin[1:], do.glance(readable), do.set_values(values.other_values(settable))
@@ -256,8 +253,8 @@ def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
 
 @differential("4.1.2")
 def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
-    """Inputs and tunable parameters can be set at communication points; set to what they are, no state
-    is lost.
+    """Inputs and tunable parameters can be set at communication points; setting their present values loses
+    no state.
     """
     chosen = values.settable_while_stepping(probe.fmu)
     if not chosen:
@@ -290,7 +287,8 @@ def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
     for v, x in tunable:
         change, step = do.set_values([(v, x)]), do.step()
         early, late = (do.initialise, change, do.exit_initialization_mode), (do.begin, change)
-        ends = step, do.leap(3, True)  # it may wait for an event
+        # the parameter may act from the next event on
+        ends = step, do.leap(3, True)
         if outputs & changed(v.name, early, step) and not any(changed(v.name, late, end) for end in ends):
             modes = "where it is set in initialization mode, and on nothing where it is set after it"
             yield f"{v.name} acts on outputs {modes}: expected the same effect"

@@ -1,4 +1,4 @@
-"""Saved states, as far as the FMU claims them, and what asking for values may not change."""
+"""Saved states, as far as the FMU claims them, and reading that changes nothing."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -162,7 +162,7 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     if messages and serialised[0].value != serialised[-1].value:
         yield (
             "fmi2SerializeFMUstate gives other bytes of a saved state after three steps than before them: "
-            "expected those of the state that was saved, not of the present"
+            "expected the bytes of the saved state, not of the present one"
         )
     yield from messages
 

@@ -1,4 +1,4 @@
-"""Steps: their times, their sizes, the stop time, what a step does, and steps that are pending."""
+"""Steps: their times and sizes, their effect, the stop time, and pending steps."""
 
 import itertools
 import math
@@ -46,7 +46,7 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
-    """A tolerance or a stop time that is not defined is not looked at."""
+    """A tolerance or a stop time that is not defined has no effect."""
     before, early = probe.start_time - 1.0, probe.point(1)
     for tolerance, stop_time, when, over in (
         (0.0, before, "where an undefined stop time lies before the start time", [do.run(2)]),
@@ -82,7 +82,8 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
     for script, times in _runs(probe, v):
         failure = script.failure
-        if failure and failure.status == DISCARD:  # then values are read of a time within the step
+        # a discarded step may leave values of a time within the step
+        if failure and failure.status == DISCARD:
             continue
         readings = zip(times, script.readings, strict=True)
         for (t, where), reading in itertools.takewhile(lambda row: row[1].ok, readings):
@@ -94,7 +95,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
 
 
 def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[float, str]]]]:
-    """Yields runs in which a variable is read, with the times at which it is, also in words."""
+    """Yields runs in which a variable is read, with the reading times as numbers and in words."""
     initialised, point = "after initialisation with startTime {:g} s", "at the communication point {:g} s"
     # a slave of fixed internal steps may be behind after a fraction
     exchanged = (1.0, 2.0, 0.30901699) if probe.fmu.is_model_exchange else (1.0, 1.0, 1.0)
@@ -110,7 +111,8 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
     # 4.2.4 does not list it among what is read
     at_first = do.forbidden, do.set_up(1000, start=3), do.enter_initialization_mode, do.read([v])
     yield do.played(probe, at_first), [(probe.point(3), "in initialization mode with startTime {:g} s")]
-    with suppress(NotApplicableError, NotJudgedError):  # then the times before are judged alone
+    # without a long run, only the times before are judged
+    with suppress(NotApplicableError, NotJudgedError):
         whole = do.over_the_experiment(probe)
         count, steps = len(whole.observed), do.steps_of_experiment(probe)
         yield whole, [(probe.point(steps * i // count), point) for i in range(1, count + 1)]
@@ -183,7 +185,7 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("2.2.5, 4.1.1")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
-    """The steps of DefaultExperiment succeed up to its stop time, as far as they take about a second."""
+    """The steps of DefaultExperiment succeed up to its stop time, or for about a second of CPU time."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):
         raise NotApplicableError("no stop time and step size are stated")
     failure = do.over_the_experiment(probe).failure

@@ -85,7 +85,7 @@ def _difference(fmu: FmuFile, section: str, expected: set[int], allowed: set[int
 
 @rule("2.2.8", Stage.DESCRIPTION)
 def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
-    """Variables that Derivatives lists have the attribute derivative, each of a state of its own."""
+    """Variables that Derivatives lists have the attribute derivative, each of another state."""
     for index in _indices(fmu, "Derivatives"):
         v = fmu.variables[index - 1]
         if "derivative" not in v.typed:
@@ -106,7 +106,7 @@ def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
 
 
 def _unknown_dependencies(fmu: FmuFile) -> Iterator[tuple[Unknown, Variable]]:
-    """Yields unknowns, each with a variable that it depends on and that is none of the Knowns."""
+    """Yields unknowns, each with a dependency that is not among its knowns."""
     states = _possible_states(fmu)
     for unknown in _unknowns(fmu):
         for known in _knowns(unknown, fmu):

@@ -1,4 +1,4 @@
-"""Values that are read: of their variables, in their ranges, finite, final, and constant if declared so."""
+"""Values that are read: right types and ranges, finite, final, and constant if declared so."""
 
 import itertools
 import math
@@ -88,7 +88,7 @@ def _wrong_values(
 ) -> Iterator[str]:
     """Yields values of variables that are wrong, also with other inputs, if so.
 
-    expected: what is expected of a value, if it is wrong
+    expected: returns the expectation for a wrong value, or ""
     """
     variables = {v.name: v for v in probe.fmu.variables}
     for when, name, value in (*_values(probe), *(_values_with_others(probe) if has_others else ())):
@@ -159,7 +159,7 @@ def values_belong_to_references(probe: Probe) -> Iterator[Row]:
 
 @differential("2.1.6")
 def final_values_after_terminate(probe: Probe) -> Iterator[Row]:
-    """After fmi2Terminate the final values can be read: those of the last step."""
+    """After fmi2Terminate the final values can be read; they are the values of the last step."""
     read = do.read(probe.fmu.variables)
     varied = do.start, do.step(2), do.expect(read), do.terminate, read
     yield Row("after fmi2Terminate", varied, ())
@@ -176,7 +176,8 @@ def fixed_values_stay(probe: Probe) -> Iterator[str]:
     variables, kept = probe.fmu.variables, ("constant", "fixed", "tunable")
     held = {v.name: v for v in variables if v.variability in kept or v.causality == "input"}
     first = {v.name: x for v, x in values.start_values(held.values()) if v.variability == "constant"}
-    fixed = {name for name, v in held.items() if v.variability in kept[:2]}  # the others are set
+    # tunable variables and inputs are set in these runs
+    fixed = {name for name, v in held.items() if v.variability in kept[:2]}
     with_others = (seen for seen in _values_with_others(probe) if seen[1] in fixed)
     for when, name, read in (*_values(probe), *with_others):
         value = values.read_value(read)
@@ -208,7 +209,8 @@ def tunable_values_are_computed_anew(probe: Probe) -> Iterator[str]:
     outputs as if it had been set before.
     """
     tunable = [v for v in probe.fmu.variables if v.variability == "tunable"]
-    computed = [v for v in tunable if v.causality in ("calculatedParameter", "output")]  # no local variable
+    # a local variable may keep an intermediate value
+    computed = [v for v in tunable if v.causality in ("calculatedParameter", "output")]
     pairs = values.other_values([v for v in tunable if v.causality == "parameter"][: do.MOST_VARIABLES])
     if not computed or not pairs:
         raise NotApplicableError("there is no tunable parameter, or none that is calculated")

@@ -64,7 +64,8 @@ def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
                 yield f"{name} stands between elements of {elements}: expected consecutive elements"
             last[match.groups()] = i
         if _STRUCTURED.fullmatch(v.name):
-            array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], v.name)  # of every level
+            # arrays of arrays have indices on each level
+            array = _INDEXED.sub(lambda match: "[]" if match[1] else match[0], v.name)
             indices = [int(index) for text in _INDEXED.findall(v.name) for index in re.findall(r"\d+", text)]
             least, other_name = greatest.get(array, (indices, v.name))
             if indices < least:
@@ -102,7 +103,7 @@ def _base(unit: Any) -> tuple[dict[str, float], float] | None:
 
 
 def _unit_of_a_derivative(v: Variable, fmu: FmuFile) -> str:
-    """Returns what is wrong with the unit of a derivative: its values are those of a variable per second."""
+    """Returns the wrong unit of a derivative and the expected one: the unit of its variable per second."""
     of = fmu.derivatives[v.index]
     got, base = (_base(fmu.units.get(x.get("unit") or "")) for x in (v, of))
     if got is None or base is None:
@@ -111,7 +112,7 @@ def _unit_of_a_derivative(v: Variable, fmu: FmuFile) -> str:
     exponents["s"] -= 1
     if got[0] == exponents and math.isclose(got[1], factor, rel_tol=_ROUNDED):
         return ""
-    return f"{v.get('unit')}: expected that of {of.name}, {of.get('unit')}, per second"
+    return f"{v.get('unit')}: expected the unit of {of.name}, {of.get('unit')}, per second"
 
 
 class _AliasSet(NamedTuple):
@@ -216,8 +217,12 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda v, _: v.causality not in ("local", "output"),
          "{name} is a continuous-time state and {causality}: expected local or output")),
     row("alias-units", _alias_sets,
-        (lambda alias, _: _several(v.get("unit") for v in alias.members),
+        (lambda alias, _: _several(v.get("unit") for v in alias.members if v.get("unit")),
          "{names}: expected one unit, got {value}")),
+    row("alias-units-are-complete", _alias_sets,
+        (lambda alias, _: len({v.get("unit") for v in alias.members} - {None}) == 1
+         and _several(v.get("unit") for v in alias.members),
+         "{names}: expected the unit for all or for none, got {value}")),
     row("alias-settable-once", _set_twice,
         (anything, "{names}: expected at most one that can be set or is independent")),
     row("alias-constants", lambda fmu: [alias for alias in _alias_sets(fmu) if _constants(alias)],

@@ -1,7 +1,7 @@
 """An FMU that behaves otherwise than it claims is caught: patched C of our own, and claims that are false."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from ctypes import c_double, c_int, c_uint
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +10,15 @@ from typing import Any, cast
 
 import pytest
 
+from fmus.compliance import actions as do
 from fmus.compliance import behaviour
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_parts import array_of
+from fmus.compliance.probe import Probe, Shared
 from fmus.compliance.rule import Result, Stage, registered
 from fmus.compliance.values import unknown_reference
+from fmus.files import extract_archive
 from tests.described_fmus import members
 from tests.mutants.slaves import write_slave
 
@@ -62,6 +65,31 @@ def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
     (result,) = examine(fmu, timeout=2, names=["variable-step-size"])
     call = "fmi2DoStep(0.0035, 0.00025, 0) after fmi2DoStep"
     assert result.messages == (f"co-simulation: the FMU took more than 2 s in one call, in {call}",)
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> Iterator[Probe]:
+    """The probe of an FMU whose steps take 20 ms of the clock and nearly no CPU time."""
+    fmu = FmuFile(write_slave(tmp_path, "waits in steps"))
+    extract_archive(fmu.path, tmp_path / "unpacked")
+    probe = Probe(fmu, tmp_path / "unpacked", Shared())
+    probe.process.calls([])  # it has started
+    probe.process.allow(30.0)
+    yield probe
+    probe.process.close()
+
+
+def test_the_number_of_steps_does_not_depend_on_the_clock(waiting: Probe) -> None:
+    """A second of the clock has 50 such steps, the default experiment 100."""
+    assert do.steps_of_experiment(waiting) == 100
+
+
+def test_many_short_calls_are_no_call_that_hangs(waiting: Probe) -> None:
+    script = waiting.script(do.begin, do.go_on(100))
+    waiting.process.allow(0.5)
+    with pytest.raises(TimeoutError):
+        waiting.play(script)
+    assert not waiting.process.hangs(0.5)
 
 
 @pytest.mark.slow
@@ -139,19 +167,21 @@ def test_findings_name_their_interface_unless_it_is_co_simulation_alone() -> Non
     assert joined(rule, reasons).not_applicable == "as ModelExchange"
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("mutation", ["no licence", "no licence to initialise"])
+def test_a_refusal_for_a_licence_is_not_judged_by_any_rule(mutation: str, tmp_path: Path) -> None:
+    results = [r for r in examine(write_slave(tmp_path, mutation)) if r.rule.stage == "behaviour"]
+    assert [r.messages for r in results if r.messages] == []
+    needing_none = {"library-loads", "instantiates-and-frees"}
+    judged = {r.rule.name for r in results if not (r.not_judged or r.not_applicable)}
+    assert judged <= needing_none
+    reasons = {r.not_judged for r in results if r.not_judged}
+    assert all("licen" in reason for reason in reasons), reasons
+
+
 def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path: Path) -> None:
-    begin = "(void)fmuResourceLocation, (void)visible;"
-    refusal = """
-    static int made;
-    if (++made > 20) {
-        functions->logger(functions->componentEnvironment, instanceName, fmi2Error, "", "no license");
-        return NULL;
-    }"""
-    rules = ["instances-follow-each-other", "values-that-are-set-are-read"]
-    chosen = examine(patched({begin: begin + refusal}, tmp_path), names=rules)
-    results = {result.rule.name: result for result in chosen}
-    assert [results[name].outcome for name in rules] == ["passed"] * 2, [results[name] for name in rules]
+    fmu = write_slave(tmp_path, "licences for 22 instances")
+    (result,) = examine(fmu, names=["values-that-are-set-are-read"])
+    assert result.outcome == "passed", result
 
 
 def test_an_instance_of_the_other_interface_changes_nothing(tmp_path: Path) -> None:

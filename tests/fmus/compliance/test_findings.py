@@ -1,5 +1,6 @@
 """Waivers, baseline and folding are filters on one list of findings."""
 
+import re
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -7,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from fmus.compliance import findings
+from fmus.compliance.examine import examine
 from fmus.compliance.findings import IN_BASELINE, Finding, Waiver
-from fmus.compliance.rule import all_rules
+from fmus.compliance.rule import all_rules, without_folders
+from tests.mutants.slaves import write_slave
 
 RULES = {rule.name: rule for rule in all_rules()}
 TODAY = date(2026, 11, 23)
@@ -205,3 +208,31 @@ def test_messages_of_one_cause_are_one_with_their_count(messages: list[str], exp
 def test_a_finding_of_a_baseline_may_be_counted_otherwise(count: str) -> None:
     known = {findings.key_of(finding("x is 3 (and 2 more like it)")): 1}
     assert accepted(findings.without_known([finding(f"x is 4{count}")], known)) == [IN_BASELINE]
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("/tmp/fmu-check-ab12cd_3/unpacked/binaries/linux64/a.so: no f", "binaries/linux64/a.so: no f"),
+        ("at file:///tmp/fmu-check-ab12cd_3/unpacked/resources", "at file:///.../resources"),
+        ("at file:/tmp/fmu-check-ab12cd_3/unpacked/resources", "at file:/.../resources"),
+        ("at file:///tmp/fmu-check-ab12cd_3/a%20folder/resources", "at file:///.../a%20folder/resources"),
+        ("changes '/tmp/a/l1-depth-process-ab12cd_3', expected /", "changes '...', expected /"),
+        (r"C:\Temp\fmu-check-ab12cd_3\unpacked\binaries\a.dll", r"binaries\a.dll"),
+        ("x is /tmp/fmu-check: expected 1", "x is /tmp/fmu-check: expected 1"),
+    ],
+)
+def test_a_message_names_no_temporary_folder(text: str, shown: str) -> None:
+    assert without_folders(text) == shown
+
+
+@pytest.mark.parametrize("mutation", ["a changed working directory", "percent signs are not decoded"])
+def test_no_finding_names_a_folder_of_the_check(mutation: str, tmp_path: Path) -> None:
+    """The former names a folder as the setting, the latter in its own message."""
+    names = ["process-settings-are-restored", "resource-location-is-decoded"]
+    messages = [
+        m for result in examine(write_slave(tmp_path, mutation), names=names) for m in result.messages
+    ]
+    assert messages
+    assert "..." in messages[0]
+    assert not re.search("fmu-check-|l1-depth-process-", " ".join(messages))

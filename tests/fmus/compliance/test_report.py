@@ -293,7 +293,7 @@ def test_names_and_expectations_in_messages_are_not_empty(tmp_path: Path) -> Non
     assert broken["start-is-given"][0].startswith("<variable 16 without a name> (output, ")
     assert [m for messages in broken.values() for m in messages if m.endswith((":", " of", "expected"))] == []
     assert repeated(["a", "a", None, None]) == {"a": 2}
-    assert refusal([Message(3, " ", None, None)]).endswith("it logged nothing")
+    assert str(refusal([Message(3, " ", None, None)])).endswith("it logged nothing")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the environment is read on Linux")

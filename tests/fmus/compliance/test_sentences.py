@@ -38,6 +38,13 @@ def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:
     assert {sentence.no_demand for sentence in sentences()} == {"", *NO_DEMANDS}
 
 
+def test_what_no_importer_stumbles_over_is_no_error() -> None:
+    """An alias without the unit of another gives no wrong value; headers of FMI come with the importer."""
+    assert levels()["alias-units"][0] == Level.ERROR
+    assert levels()["alias-units-are-complete"][0] == Level.DEVIATION
+    assert levels()["headers-of-fmi-are-left-out"][0] == Level.ADVICE
+
+
 def test_a_rule_of_files_names_the_clauses_of_its_sentences() -> None:
     for rule in all_rules():
         if rule.stage is not Stage.BEHAVIOUR:
