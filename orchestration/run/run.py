@@ -18,20 +18,30 @@ import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run.access import Access, Reader, Writer, Written, set_in_fmu, stale
+from orchestration.run.access import (
+    Access,
+    Reader,
+    Record,
+    SavedState,
+    Snapshot,
+    Writer,
+    Written,
+    set_in_fmu,
+    stale,
+)
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.run.initialisation import initialise
 from orchestration.run.loop_data import Report
 from orchestration.run.process_guard import ProcessGuard, deferred_interrupt
-from orchestration.run.run_clock import Pacing, RunStatistics
 from orchestration.run.run_recording import (
+    Pacing,
+    RunStatistics,
     emit_warnings,
     failure_error,
     is_discarded_step,
     make_recording,
     reason_of,
 )
-from orchestration.run.saved_states import Record, SavedState, Snapshot
 from orchestration.run.step_control import StepControl, termination_within_step
 from orchestration.run.wiring import WiredRun, move_point
 from orchestration.system.values import Value

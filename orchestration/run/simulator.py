@@ -19,8 +19,7 @@ from orchestration.run.error_estimate import StepwiseEstimate, with_error_estima
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, deferred_interrupt, new_report
 from orchestration.run.run import Progress, Run
-from orchestration.run.run_clock import Pacing, RunStatistics
-from orchestration.run.run_recording import reason_of
+from orchestration.run.run_recording import Pacing, RunStatistics, reason_of
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, PreparedRuns, check_for

@@ -17,9 +17,9 @@ import numpy as np
 
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuWarning, OrchestrationError
+from orchestration.run.access import Snapshot
 from orchestration.run.loop_data import Report
 from orchestration.run.run_recording import failure_error, step_unless_discarded
-from orchestration.run.saved_states import Snapshot
 from orchestration.run.tolerance import Tolerance, step_together_and_split
 from orchestration.run.wiring import WiredRun
 from orchestration.system.signals import Table

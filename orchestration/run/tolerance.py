@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from fmus.fmi.description import of_causality
+from orchestration.run.access import Snapshot
 from orchestration.run.loop_data import Call, InputMode
 from orchestration.run.run_recording import step_unless_discarded
-from orchestration.run.saved_states import Snapshot
 from orchestration.run.wiring import WiredRun
 from orchestration.system.system import CheckedSystem, Port
 
