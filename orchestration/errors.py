@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-# those of one FMU stand with the FMU
+# errors of one FMU stand with the FMU
 from fmus.errors import FmuError, FmuLoadError, FmuWarning, OrchestrationError  # noqa: F401
 
 Key = str | tuple[str | int, ...]
@@ -12,24 +12,24 @@ Key = str | tuple[str | int, ...]
 
 
 class InputError(OrchestrationError):
-    """An error in what is given; about: what it says something of, so that a file can be searched for it.
+    """An error in a file, an option or an argument.
 
-    None: the message begins with its place.
+    about: the names and keys that a file is searched for, to add the line
+    place: begins the message, such as "gains.toml:2: "; no file is searched then
     """
 
-    def __init__(self, message: str, *about: Key) -> None:
-        super().__init__(message)
-        self.about: tuple[Key, ...] | None = about
+    def __init__(self, message: str, *about: Key, place: str = "") -> None:
+        super().__init__(f"{place}{message}")
+        self.about, self.is_placed = about, bool(place)
 
 
 @contextmanager
 def about(*keys: Key) -> Iterator[None]:
-    """Errors in what is given, raised inside, say something of these too."""
+    """Adds keys to `InputError.about` of an error that is raised inside."""
     try:
         yield
     except InputError as error:
-        if error.about is not None:
-            error.about = (*error.about, *keys)
+        error.about = (*error.about, *keys)
         raise
 
 

@@ -121,8 +121,8 @@ class Access:
         return write_and_note
 
     def _writer(self, name: str) -> Callable[[Value], None]:
-        check_changeable(self._system, name, "set", self._driven_by_others)
-        port = self._system.ports[name]
+        port = self._system.port(name, "set")
+        check_changeable(port, "set", self._driven_by_others)
         if name not in self._run.prepared.external:
             return lambda value: set_in_fmu(self._run, port, fmi_value(port, value))
         bus, index = self._bus, self._index[f"{SIGNAL}{name}"]

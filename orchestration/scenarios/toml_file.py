@@ -87,8 +87,8 @@ def placed(files: Sequence[TomlFile]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.about is None:
-            raise
+        if error.is_placed:
+            raise ScenarioError(str(error)) from error
         places = ((file, line) for file in files for key in error.about if (line := file.line_of(key)))
         file, line = next(places, (files[0], 0))
         if file is not files[0]:

@@ -15,16 +15,17 @@ from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.experiment_checks import (
+    Setting,
     check_capabilities,
-    check_events,
     check_faults,
     check_memory,
     check_signals,
+    checked_events,
 )
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table, values_at
-from orchestration.system.system import CheckedSystem, Port, System, check
+from orchestration.system.system import CheckedSystem, System, check
 from orchestration.system.values import (
     fmi_value,
     is_discrete,
@@ -33,8 +34,6 @@ from orchestration.system.values import (
     value_of_open_input,
     value_range,
 )
-
-Setting = tuple[Port, FmiValue]
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +161,7 @@ def prepare_checked(
     first_values = _external(system, experiment, external)
     driven = {*experiment.signals, *first_values, *(target.name for _, target in system.connections)}
     recorded = _recorded(system, experiment, first_values)
-    check_events(system, experiment, driven)
+    events = checked_events(system, experiment, driven)
     check_faults(system, experiment, driven)
     check_capabilities(system, experiment)
     check_signals(system, experiment)
@@ -175,7 +174,7 @@ def prepare_checked(
         points=points,
         recorded=recorded,
         settings=_settings(system, experiment),
-        changes=_changes(system, experiment, points),
+        changes=_changes(experiment, events, points),
         periods={name: experiment.period(name) for name in system.components},
         input_ranges={name: value_range(system.ports[name]) for name in driven},
         retry_obstacle=_retry_obstacle(system, experiment),
@@ -235,9 +234,8 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
                 name,
             )
         settings.append((port, fmi_value(port, value)))
-    for name, value in experiment.inputs.items():
-        port = system.port(name, "input")
-        settings.append((port, fmi_value(port, value)))
+    inputs = experiment.inputs.items()
+    settings += [(port, fmi_value(port, value)) for name, value in inputs if (port := system.ports[name])]
     starts = ((port, value_of_open_input(port)) for port in system.open_inputs)
     return (*settings, *starts)
 
@@ -250,16 +248,17 @@ def has_start_value(variable: ScalarVariable) -> bool:
     return variable.causality == "parameter" or variable.initial in ("exact", "approx")
 
 
-def _changes(system: CheckedSystem, experiment: Experiment, points: np.ndarray) -> dict[int, list[Setting]]:
+def _changes(
+    experiment: Experiment, events: Sequence[tuple[float, Sequence[Setting]]], points: np.ndarray
+) -> dict[int, list[Setting]]:
     """Returns the changes; a component takes one at its first communication point at or after the event."""
     changes: dict[int, list[Setting]] = {}
-    for event in sorted(experiment.events, key=lambda event: event.time):
-        first = int(np.searchsorted(points, event.time - experiment.time_resolution()))
-        for name, value in event.values.items():
-            port = system.ports[name]
+    for time, settings in events:
+        first = int(np.searchsorted(points, time - experiment.time_resolution()))
+        for port, value in settings:
             period = experiment.period(port.component)
             index = min(-(-first // period) * period, len(points) - 1)
-            changes.setdefault(index, []).append((port, fmi_value(port, value)))
+            changes.setdefault(index, []).append((port, value))
     return changes
 
 
