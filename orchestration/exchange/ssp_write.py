@@ -35,8 +35,7 @@ from orchestration.exchange.limits import (
 )
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
 from orchestration.scenarios.fmu_files import fmu_file
-from orchestration.scenarios.layers import components_of
-from orchestration.scenarios.read_layers import file_layers
+from orchestration.scenarios.layers import components_of, file_layers
 from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare

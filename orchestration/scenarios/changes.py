@@ -13,11 +13,15 @@ from fmus.errors import nearest
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.components import Describe
 from orchestration.scenarios.declarations import with_file_paths
-from orchestration.scenarios.interface import components_between
-from orchestration.scenarios.layers import Data, Layer, components_of
-from orchestration.scenarios.read_layers import components_and_names, with_parameter_files
+from orchestration.scenarios.interface import Describe, components_between
+from orchestration.scenarios.layers import (
+    Data,
+    Layer,
+    components_and_names,
+    components_of,
+    with_parameter_files,
+)
 from orchestration.system.experiment import Experiment
 from orchestration.system.quantities import StatedValue, read_value, stated
 from orchestration.system.signals import Constant

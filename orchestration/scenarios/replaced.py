@@ -17,8 +17,7 @@ from fmus.errors import listed
 from fmus.fmi.description import start_value
 from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.results.metrics import SIGNALS
-from orchestration.scenarios.components import Component
-from orchestration.scenarios.interface import Interface
+from orchestration.scenarios.interface import Component, Interface
 from orchestration.scenarios.layers import Data, driven_inputs, with_events
 from orchestration.system.quantities import StatedValue
 from orchestration.system.values import fmi_value

@@ -18,24 +18,22 @@ from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, about
 from orchestration.results import metrics
 from orchestration.scenarios.changes import given_layers, other_fmu, values_of_settings
-from orchestration.scenarios.components import Describe
 from orchestration.scenarios.composition import compose, with_actuators
 from orchestration.scenarios.declarations import as_input_takes, fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
 from orchestration.scenarios.fmu_files import files_of, made_file, variables_of
+from orchestration.scenarios.interface import Describe
 from orchestration.scenarios.layers import (
+    FILE,
+    SHIPPED,
     TABLES,
     Data,
     Layer,
-    with_faulted_constants,
-)
-from orchestration.scenarios.read_layers import (
-    FILE,
-    SHIPPED,
     file_layers,
     find,
     shipped,
+    with_faulted_constants,
 )
 from orchestration.scenarios.toml_file import TomlFile, placed
 from orchestration.system.experiment import Event, Experiment

@@ -238,10 +238,6 @@ class CheckedSystem:
             if group[0] < len(connections)
         )
 
-    def initial_dependencies(self, output: Port) -> list[str]:
-        """Returns the inputs that an output depends on in initialisation mode; all if not declared."""
-        return self.declared_dependencies.get(output.name, self.inputs[output.component])
-
 
 def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
     """Returns the strongly connected component of each node."""

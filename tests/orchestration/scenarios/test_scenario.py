@@ -9,7 +9,7 @@ import pytest
 from orchestration.cli.chosen_scenario import load
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
-from orchestration.scenarios.read_layers import stated_values
+from orchestration.scenarios.layers import stated_values
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.system import prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
