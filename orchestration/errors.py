@@ -1,4 +1,4 @@
-"""Errors and warnings around FMUs, in words that say what to do next."""
+"""Errors and warnings around FMUs."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,15 +34,15 @@ def about(*keys: Key) -> Iterator[None]:
 
 
 class ScenarioError(InputError):
-    """A scenario file that says something wrong or not enough."""
+    """An error in a scenario file."""
 
 
 class SweepError(OrchestrationError):
-    """A sweep that cannot begin, or cannot go on; what is done is kept."""
+    """An error of a sweep that cannot begin or go on; finished runs are kept."""
 
 
 class SystemDefinitionError(InputError):
-    """Components and connections that do not fit; found before anything is loaded."""
+    """An error of components, connections or settings that do not fit, found before anything is loaded."""
 
 
 class EnsembleError(SystemDefinitionError):
@@ -54,7 +54,7 @@ class ScenarioWarning(UserWarning):
 
 
 class SimulationError(OrchestrationError):
-    """A run that ended early; `recording` holds what was recorded until then."""
+    """An error of a run that ended early; `recording` holds the values until then."""
 
     def __init__(self, reason: str, recording: Any) -> None:
         super().__init__(reason, recording)

@@ -92,7 +92,7 @@ def simulate_prepared(
     fmus: ExitStack | None = None,
     **options: Any,
 ) -> Recording:
-    """Runs what `prepare` made of this system; arguments and errors are those of `simulate`.
+    """Runs what `prepare` made of this system; arguments and errors as in `simulate`.
 
     fmus: frees the FMUs when it is closed; by default they are freed before this function returns
     """

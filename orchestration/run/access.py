@@ -40,7 +40,7 @@ class Access:
     """Reads and sets values of one run, until it is closed.
 
     exchange: gives inputs at the present communication point the values that they have there
-    written: gets what is set, if the error of the run is to be estimated
+    written: gets the values that are set, if the error of the run is to be estimated
     """
 
     def __init__(self, run: WiredRun, exchange: Callable[[], object], written: list[Written]) -> None:
@@ -180,7 +180,7 @@ class Snapshot:
     def restore(self) -> None:
         """Sets all states and arrays back, also after a failure.
 
-        What the instances logged is dropped, and they are as before their failure.
+        Drops the instances' messages and their failures.
         """
         for instance in self._run.instances.values():
             instance.log.clear()
@@ -252,8 +252,8 @@ class Record:
 class SavedState:
     """The whole system at one communication point of a run: opaque, for `Run.restore` in that run.
 
-    written: what the caller has set until then, where that is noted
-    unused: where the run finds memory for its next saved states; this one's returns there when it is deleted
+    written: the caller's values until then, if the error is to be estimated
+    unused: memory for the run's next saved states; a deleted state returns its snapshot there
     """
 
     snapshot: Snapshot

@@ -33,8 +33,8 @@ class Checkpoint:
     position, time: index and time [s] of the communication point
     step_control: `StepControl.state`
     past: part of the run -> digest of its data until then
-    strings: of Strings, whose numbers are in the arrays
-    states: component -> serialised state of its FMU; arrays: those of the loop, by name
+    strings: the table of `Strings`, whose numbers are in the arrays
+    states: component -> serialised state of its FMU; arrays: the loop's, by name
     """
 
     position: int

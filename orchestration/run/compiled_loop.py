@@ -71,7 +71,8 @@ def _members(wiring: Wiring) -> list[int]:
 
 def library() -> ctypes.CDLL:
     """Returns the loop of the wheel, or one compiled once for this user; OrchestrationError if it fails."""
-    with _loading:  # two threads would load it twice, each with a floating-point mode of its own to restore
+    # two threads would load it twice, each with another floating-point mode to restore
+    with _loading:
         loaded = _library_or_error()
     if isinstance(loaded, Exception):
         raise OrchestrationError(f"the communication loop is not compiled: {loaded}") from loaded

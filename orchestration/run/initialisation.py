@@ -159,7 +159,7 @@ class Loop:
 
 
 def _number(value: FmiValue) -> float:
-    """Returns the value; of a String, a number that tells it from others."""
+    """Returns the value; for a String, a number that differs for different texts."""
     return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 

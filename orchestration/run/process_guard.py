@@ -2,7 +2,7 @@
 
 An interrupt waits for the end of a step: inside an FMU it would look like the FMU's own failure.
 
-After each call of an FMU the floating-point mode (rounding, denormals) is that of before. An FMU that calls
+After each call of an FMU the floating-point mode (rounding, denormals) is restored. An FMU that calls
 `exit` is named, and the status is 70; for `_exit` and crashes see `fmus/fmi/parent_process.py`. A child that
 an FMU forks ends where it returns from a call, and the run ends with an error.
 Whatever else FMUs change in this process stays: locale, environment, handlers of signals, open files. With a
@@ -81,7 +81,7 @@ class ProcessGuard:
 def new_report() -> np.ndarray:
     """Returns the report of a run, where the process that waits for this one can read which FMU is busy.
 
-    That process reads one report: the run of another thread has memory of its own.
+    That process reads one report: the run of another thread has separate memory.
     """
     is_main = threading.current_thread() is threading.main_thread()
     memory = parent_process.report_memory(8 * len(Report)) if is_main else None
@@ -96,7 +96,7 @@ def _runs() -> np.ndarray:
     guard = library()
     guard.guard_runs.restype = ctypes.POINTER(ctypes.c_int64)
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
-    atexit.register(runs.fill, 0)  # from then on the process ends by itself
+    atexit.register(runs.fill, 0)  # the process is ending: an `exit` of an FMU is no longer reported
     return runs
 
 
@@ -124,7 +124,7 @@ class _InterruptTimes(list[float]):
 def kept_interrupts() -> Iterator[list[float]]:
     """Interrupts only leave their time [s of time.monotonic] in the list given.
 
-    Inside another such context the list is that of the outer one, with the interrupts that came before.
+    Inside another such context the list is the outer one's, with the interrupts that came before.
     Outside the main thread, which receives no interrupts, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():

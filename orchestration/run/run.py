@@ -72,13 +72,13 @@ class Run:
             run.step()
         recording = run.recording()
 
-    Without anything set, the recording is that of `Simulator.run`, to the last bit. The second run of an
-    error estimate takes what was set at the points that both have; a loop that the caller closes is none in
-    it.
+    If the caller sets nothing, the recording equals `Simulator.run`'s to the last bit. The second run of an
+    error estimate sets the caller's values at the points that both runs have; it does not close a loop that
+    the caller closes.
 
     failure: why the run cannot go on; empty if it can
     batch: steps of the next batch
-    written: what the caller set, if the error is to be estimated
+    written: the caller's values so far, if the error is to be estimated
     """
 
     # time [s] when a step of any run looks again, as the runs share the process
@@ -367,7 +367,7 @@ class Run:
         return self._access.writer(*names)
 
     def recording(self) -> Recording:
-        """Returns the values recorded until now, those of the present communication point included.
+        """Returns the values recorded until now, including the present communication point.
 
         An error estimate of anything new loads the FMUs a second time.
         """

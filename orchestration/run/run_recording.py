@@ -38,7 +38,7 @@ def make_recording(
 
     rows: shape `prepared.shape`, of many runs with a first axis of runs
     strings: of Strings, by their numbers; without them Strings are empty
-    more: further entries of the provenance; is_final: all rows become those of the recording, without a copy
+    more: further entries of the provenance; is_final: the recording takes the rows without a copy
     """
     variables = [prepared.system.ports[name].variable for name in prepared.recorded]
     values, time = rows[..., :count, :], prepared.points[:count]

@@ -105,7 +105,7 @@ class StepControl:
     def divide_step(self, check_interrupt: Callable[[], None]) -> float:
         """Steps from the present communication point to the next; returns the time reached [s].
 
-        It is earlier than that of the point if a component terminated the simulation.
+        The time is earlier than the next point's if a component terminated the simulation.
         """
         point = int(self._wiring.report[Report.POSITION])
         if not self._loop.exchange_and_record(point):
@@ -207,7 +207,7 @@ class StepControl:
             self.tolerance.learn_solver_error(*(bus[self.tolerance.bus_index] for bus in outcome))
 
     def _note_accepted(self, start: float, size: float, ratios: np.ndarray) -> None:
-        """Adds up the errors of a step; notes and warns where only those of solvers permit them."""
+        """Adds up the errors of a step; notes and warns where only the solvers' own errors permit them."""
         assert self.tolerance
         is_of_solvers = (
             ratios > 1.0
@@ -286,7 +286,7 @@ class StepControl:
 
 
 def termination_within_step(run: WiredRun) -> float:
-    """Returns the time [s] at which the component that discarded its step terminates the simulation.
+    """Returns the time [s] when the component that discarded its step terminates the simulation.
 
     It is within the step that was discarded, or the start of it. Raises OrchestrationError for a component
     that does not terminate the simulation.

@@ -146,7 +146,9 @@ def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: 
 class _Watch:
     """Receives the messages of a process until its FMUs are freed, its end, or the end of its time.
 
-    outcome: None without one; warnings: those of the FMUs; stopped: what stopped the run from here
+    outcome: the recording or the error, None before it arrives
+    warnings: the FMUs' warnings
+    stopped: the interrupt, or the error of the progress, that stopped the run from this process
     """
 
     def __init__(
@@ -217,7 +219,7 @@ class _Watch:
 
 
 def _call_progress(progress: Progress | None, done: int, last: int) -> BaseException | None:
-    """Calls the progress; what it raises stops the run."""
+    """Calls the progress; returns its exception, which stops the run."""
     try:
         if progress:
             progress(done, last)
@@ -257,7 +259,7 @@ def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
 
 
 def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
-    """Returns the recording, or raises why there is none of the whole run."""
+    """Returns the recording of the whole run, or raises the reason why it is missing."""
     recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
     if recording is not None and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
         outcome = SimulationError(reason_of(stopped), recording)
@@ -316,6 +318,6 @@ def _packed_outcome(outcome: object) -> bytes:
     try:
         content = cloudpickle.dumps(outcome)
         pickle.loads(content)
-    except Exception:  # of an error that does not travel: what it says does
+    except Exception:  # an error that cannot be pickled: its text can
         return pickle.dumps(OrchestrationError(f"{type(outcome).__name__}: {outcome}"))
     return content

@@ -1,8 +1,8 @@
 """The permitted error of a step, and errors of the FMUs' own solvers, which no shorter step takes away.
 
 A step in two halves without an exchange between them shows these. An FMU that computes exactly, or with fixed
-steps that fit, reaches the same state as in one step. One whose solver starts anew in every step, with a
-tolerance of its own, does not.
+steps that fit, reaches the same state as in one step. An FMU whose solver starts anew in every step,
+with its own tolerance, does not.
 """
 
 from dataclasses import replace
@@ -26,7 +26,7 @@ class Tolerance:
     order: of the exchange in the step size
     names, bus_index: of the outputs, (m,)
     adds_up: whether the errors of an output add up from step to step, (m,)
-    solver_error: what a step that is split leaves in the outputs, though nothing is exchanged in it, (m,)
+    solver_error: change of the outputs if a step is split, though nothing is exchanged in it, (m,)
     """
 
     def __init__(self, run: WiredRun) -> None:

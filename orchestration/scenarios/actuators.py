@@ -1,7 +1,7 @@
-"""The actuators of a vehicle: what they take, and the force that they give.
+"""The actuators of a vehicle: their inputs, ranges and force.
 
-Everything takes them from here: a scenario tells them to controllers as parameters, the score computes the
-force by them, margins and design start from them.
+All other code uses this one description: a scenario gives it to controllers as parameters, the score computes
+the force by it, margins and design start from it.
 """
 
 import math
@@ -93,8 +93,8 @@ class Actuators:
         """Returns the parameters of a controller that follow, by the names of the depth control interface.
 
         voltage_limit: its own [V]; there two thrusters give the largest force of a vehicle without voltages
-        One thruster is told as two of half its gain.
-        points: of its table; with none it has no table, and takes the thrusters for lines
+        points: of its table; 0 for a controller without a table, which takes a line for each thruster
+        One thruster becomes two of half its gain.
         """
         values: dict[str, float] = {"voltage_limit": self.limit} if self.in_volts else {}
         if self.table and points:

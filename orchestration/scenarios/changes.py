@@ -63,7 +63,7 @@ def _command_entries(
 def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer], describe: Describe) -> Data:
     """Returns the tables of a scenario file that the values of variables stand in.
 
-    layers: the last is that of a command (`given_layers`)
+    layers: the last is the command's (`given_layers`)
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
     below, tables = components_of(layers[:-1]), Data()
@@ -102,7 +102,7 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
 
 
 def other_fmu(name: str, fmu: str) -> str:
-    """Returns the message about a parameter of a file that is for another FMU than that of the component."""
+    """Returns the message about a parameter of a file that was written for another FMU."""
     component = name.partition(".")[0]
     option = f"--{component} " if component in ("controller", "plant") else f"--set {component}="
     return (
@@ -132,7 +132,7 @@ def tables_of_values(values: Mapping[str, Value], experiment: Experiment) -> Dat
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
-    """Returns the experiment with other values; what has none stays the same object."""
+    """Returns the experiment with other values; unchanged members stay the same objects."""
     tables = tables_of_values(values, experiment)
     changed = tables.pop("experiment", {})
     if "signals" in tables:

@@ -1,7 +1,7 @@
 """Columns of numbers in a CSV file as other programs write it.
 
 Delimiters are commas, semicolons, tabs or bars. Numbers may have decimal commas if no comma separates cells.
-Times may be those of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
+Times may be dates of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
 All rows have as many cells. Empty lines and lines that begin with # are left out, but where numbers come
 first, the last of these above them that has as many cells, and units if any has, holds the titles.
 """
@@ -24,7 +24,7 @@ from orchestration.system.quantities import Conversion, conversion
 
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
-# with its unit: "u [cm]", "u(cm)" or "[cm]", but for an index as of "u[1,2]" and for "der(x)"
+# with its unit: "u [cm]", "u(cm)" or "[cm]", except an index such as "u[1,2]", and "der(x)"
 _TITLE = re.compile(
     r"(.*?)(?:\s*/)?(?:\s+[\[(]|(?:\[|(?<!\bder)\()(?![\d,\s]*[\])]))([^\[\]()]*)[\])]", re.DOTALL
 )
@@ -69,7 +69,7 @@ class DataFile:
             raise ScenarioError(f"{self.start}: {self.titles[index]}: {error}") from None
 
     def numbers(self, *indices: int, gaps: bool = False, names: Mapping[str, float] = {}) -> np.ndarray:
-        """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after that of the first row.
+        """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after the first row's.
 
         gaps: whether a cell may be empty, or say that there is no number, which gives NaN
         names: text that stands for a number -> the number
@@ -124,7 +124,7 @@ def read_data_file(path: Path) -> DataFile:
         if any("\0" in line for _, line in numbered):
             raise ValueError("UTF-16 or no text; save it as UTF-8")
         lines = [(number, line) for number, line in numbered if _holds_data(line)]
-        # a comma is the delimiter only where no other is: it may be that of decimals
+        # a comma is the delimiter only where no other is found: it may be the decimal sign
         delimiter = next((one for one in _DELIMITERS if lines and one in lines[0][1]), ",")
         if lines and _FIRST_NUMBER.match(lines[0][1]):
             above = [(n, line.lstrip("# \t")) for n, line in numbered[: lines[0][0] - 1] if line[0] == "#"]
@@ -156,7 +156,7 @@ def read_data_file(path: Path) -> DataFile:
 
 
 def _holds_data(line: str) -> bool:
-    """Whether a line is not empty, no comment, and not that by which Excel is told the delimiter."""
+    """Whether a line is not empty, no comment, and not Excel's line that names the delimiter."""
     return bool(line.strip()) and not line.lower().startswith(("#", "sep="))
 
 

@@ -116,7 +116,7 @@ class EventTable(Table):
 
 
 class ComponentTable(Table):
-    """An FMU in the place of that of a base, whose variables may have other names."""
+    """An FMU in the place of a base's FMU, whose variables may have other names."""
 
     fmu: str = ""
     """As without a table; by default that of the base."""

@@ -178,7 +178,7 @@ At = Callable[[KeyPath], str]
 
 
 def checked(model: TypeAdapter[T], data: object, where: At | str) -> T:
-    """Returns the data as that type; ScenarioError names the key, what it is and what was expected."""
+    """Returns the data as that type; ScenarioError names the key, its value and the expected one."""
     try:
         return model.validate_python(data)
     except ValidationError as error:
@@ -246,7 +246,7 @@ def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]
 
 
 def _keys(error: ErrorDetails, data: Any) -> KeyPath:
-    """Returns the keys at which an error is in a file; the kinds of unions are no part of it."""
+    """Returns the keys that lead to an error in a file, without the kinds of unions."""
     keys: KeyPath = ()
     missing = error["type"] == "missing"
     for part in error["loc"][:-1] if missing else error["loc"]:

@@ -18,7 +18,7 @@ from orchestration.scenarios.layers import Layer, components_of
 
 
 def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """Returns the file of an FMU: an .fmu as it is, or where that of a block is found.
+    """Returns the file of an FMU: an .fmu as it is, or the place of a block's FMU.
 
     The FMU of a Python file's only block, or of a class, my.py:Policy, is made if it is missing or stale;
     ExportError if it cannot be.
@@ -49,7 +49,7 @@ def build_missing(fmus: Iterable[Path]) -> None:
 
 
 def files_of(layers: Sequence[Layer], flavour: Flavour = Flavour.NATIVE) -> dict[str, Path]:
-    """Returns FMU as the layers name it -> its file; those of Python files and classes are made."""
+    """Returns FMU as the layers name it -> its file; makes the FMUs of Python files and classes."""
     files: dict[str, Path] = {}
     for component, fmu in components_of(layers).items():
         layer = [one for one in layers if component in one.data.get("components", {})][-1]
@@ -68,9 +68,9 @@ def _from_here(fmu: str) -> str:
 
 
 def made_file(fmu: str, flavour: Flavour, files: Mapping[str, Path]) -> Path:
-    """Returns the file of an FMU; of a Python file or a class one of those that were made.
+    """Returns the file of an FMU; for a Python file or a class, the one that was made before.
 
-    Raises FmuLoadError for one that was not.
+    Raises FmuLoadError if it was not made.
     """
     if fmu not in files and (fmu.endswith(".py") or ".py:" in fmu):
         raise FmuLoadError(f"{fmu}: its FMU was not made: l1-depth build {fmu} makes one")

@@ -10,7 +10,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
 
-_DIGITS = 4  # of a value that is rounded: what is written is what was run
+_DIGITS = 4  # of a rounded value: the written value is the one that was run
 _AT_A_LIMIT = 0.01  # of the range: a value this near to its end was stopped by it
 
 
@@ -18,7 +18,7 @@ _AT_A_LIMIT = 0.01  # of the range: a value this near to its end was stopped by 
 class FreeParameter:
     """A free parameter: the limits of its search and the value that it begins at, in its unit.
 
-    variables: those of the FMU that have its value
+    variables: of the FMU that have its value
     """
 
     name: str

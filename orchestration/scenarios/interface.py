@@ -35,9 +35,9 @@ class Component:
     """A component with its last FMU.
 
     fmu: "" if it is removed; layer: index of the one that gives it this FMU
-    former: FMUs that it has in the layers below, the lowest first; none if no layer replaces one
-    given_names: index of a layer -> the names that it gives: name below it -> variable of the FMU, "" for one
-    that the FMU has not
+    former: FMUs in the layers below, the lowest first; empty if no layer replaces one
+    given_names: index of a layer -> the names that it gives: name below it -> variable of the FMU, ""
+    for one that the FMU lacks
     """
 
     name: str
@@ -54,7 +54,7 @@ class Component:
 
     @cached_property
     def names(self) -> dict[str, str]:
-        """The names by all layers from that of the FMU on."""
+        """The names by all layers, from the FMU's own layer upwards."""
         return {name: own for names in self.given_names.values() for name, own in names.items()}
 
     @cached_property
@@ -90,9 +90,9 @@ class Component:
         return False
 
     def check_names(self, names: Mapping[str, str], below: Collection[str]) -> None:
-        """Refuses names for what nothing names, and for variables that the FMU has not.
+        """Refuses names that nothing uses, and variables that the FMU lacks.
 
-        below: what the layers below and the interface name
+        below: names in the layers below and in the interface
         """
         for name, own in names.items():
             keys = ("components", self.name, "names", name)
@@ -129,7 +129,7 @@ def components(layers: Sequence[Layer], describe: Describe) -> dict[str, Compone
 
 
 def components_between(layers: Sequence[Layer]) -> dict[str, str]:
-    """Returns the components that may stand between those of the layers -> their blocks."""
+    """Returns the components that may stand between the layers' components -> their blocks."""
     tables = (layer.data.get("interface", {}).get("between", {}) for layer in layers)
     return {name: fmu for table in tables for name, fmu in table.items()}
 
@@ -253,13 +253,13 @@ class Interface:
         return False
 
     def port(self, name: str) -> Port | None:
-        """Returns the port of "component.variable", by the name of its FMU, None if there is none."""
+        """Returns the port of "component.variable", by the name of its FMU, or None."""
         component, _, variable = name.partition(".")
         own = self.present.get(component)
         return own and own.port(variable)
 
     def has(self, name: str, part: str = "signal") -> bool:
-        """Whether a component has a variable that can have a part, as of `Component.has_part`."""
+        """Whether a component has a variable that can have a part: see `Component.has_part`."""
         component, _, own = self._own(name).partition(".")
         return component in self.present and self.present[component].has_part(own, part)
 

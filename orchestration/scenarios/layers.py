@@ -22,7 +22,7 @@ from orchestration.system.quantities import stated
 
 SHIPPED = Path(__file__).parent
 FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
-# those that a header [key] cannot begin
+# keys that a header [key] cannot begin
 _ABOVE_TABLES = [key for key, x in ScenarioFile.model_fields.items() if isinstance(x.default, str | list)]
 _OF_A_BASE = (("components",), ("experiment",), ("experiment", "stop_time"), ("experiment", "step_size"))
 Data = dict[str, Any]
@@ -134,7 +134,7 @@ def components_and_names(given: Mapping[str, Any], folder: Path, at: At) -> Data
 def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
     """Returns the name of a known block, or the absolute path of an .fmu or a .py relative to a folder.
 
-    at, keys: where it is named; begins the ScenarioError about a name that is none of these
+    at, keys: where it is named; begins the ScenarioError about another name
     """
     if fmu.endswith((".fmu", ".py")) or ".py:" in fmu:
         return str((folder / fmu).absolute())
@@ -158,11 +158,11 @@ def components_of(layers: Sequence[Layer]) -> dict[str, str]:
 def laid_over(
     data: Data, layer: Layer, is_boolean: Callable[[str], bool], joined: Collection[str] = ()
 ) -> Data:
-    """Returns the data of the layers below with those of a layer over them.
+    """Returns the data of the layers below with the data of a layer over them.
 
     is_boolean: whether a variable is, so that `false` is its value
     joined: inputs that something drives if the layers do not; `removed` lists those that a layer removes
-    Raises ScenarioError for an entry that is removed where there is none.
+    Raises ScenarioError for a removed entry that the layers below lack.
     """
     below = _without_other_drivers(data, layer.data)
     above = {name: value for name, value in layer.data.items() if name not in _LISTS_AS_TABLES}

@@ -1,6 +1,6 @@
 """Figures 3, 5 and 6 of the paper, drawn from the recordings of a reproduction.
 
-Every figure shows the published numbers beside those of the run. Captions: docs/explanation/results.md.
+Every figure shows the published numbers beside the run's. Captions: docs/explanation/results.md.
 """
 
 import math
@@ -144,7 +144,7 @@ def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
 
 
 def _finish_thrust(panel: Axes, curves: Sequence[DrawnRun]) -> None:
-    """Draws the published holding thrust, and the oscillation at the surface in a window of its own."""
+    """Draws the published holding thrust, and the oscillation at the surface in an inset."""
     inset = panel.inset_axes((0.16, 0.29, 0.45, 0.36))
     for curve in curves:
         panel.axhline(curve.published(_HOLDING), color=curve.line["color"], linewidth=0.8, linestyle=":")
@@ -163,7 +163,8 @@ def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves
     rows = []
     for curve in curves:
         value = curve.measured[metric]
-        text = shown(value, {"function": metric}, digits)  # their names are those of the functions
+        # metrics of the paper are named like their functions
+        text = shown(value, {"function": metric}, digits)
         result = text if math.isnan(value) else f"{text} {unit}"
         rows.append(f"{curve.label} {result} ({curve.published(metric):g} {unit})")
     _note(panel, f"{name}, run (paper): {'; '.join(rows)}")

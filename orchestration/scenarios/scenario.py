@@ -92,7 +92,7 @@ def load(
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
     made: Python file or class -> its FMU
-    Warns (ScenarioWarning) where an FMU that replaces that of the base may be another than was meant.
+    Warns (ScenarioWarning) where an FMU that replaces the base's may not be the intended one.
     """
     made = made or {}
     layers = given_layers(layers or file_layers(path), overrides or {}, settings or {})

@@ -57,12 +57,12 @@ def task_of(
 ) -> Task:
     """Returns the task of a component of a scenario, whose place the agent takes.
 
-    reward: metric of the scenario -> weight (`reward_of`), or a function as of `Task`
+    reward: metric of the scenario -> weight (`reward_of`), or a function: see `Task`
     replaced: the component. The inputs that it drives are the actions; the outputs that it is connected to,
     and the signals that drive it, are the observations
     plant: FMU or block in the place of the plant of a scenario that is named
     mapping: name of the vehicle's interface -> variable of that plant
-    settings: those of `Task`, in place of what follows from the scenario
+    settings: of `Task`, in place of the scenario's
     """
     if isinstance(scenario, str):
         overrides = {"components": {"plant": {"names": dict(mapping)}}} if mapping else {}

@@ -1,4 +1,4 @@
-"""A TOML file: what it holds, and on which line each key stands."""
+"""A TOML file: its content, and the line of each key."""
 
 import re
 import sys
@@ -80,7 +80,7 @@ def _names(keys: str) -> tuple[str, ...]:
 
 @contextmanager
 def placed(files: Sequence[TomlFile]) -> Iterator[None]:
-    """Errors in what is given, raised inside, begin with the file, and the line of what they are about.
+    """Puts the file, and the line of their keys (`InputError.about`), before errors that are raised inside.
 
     files: of a scenario, the uppermost first; a line of another file stands at the end
     """
@@ -99,7 +99,7 @@ def placed(files: Sequence[TomlFile]) -> Iterator[None]:
 
 
 def read_toml(path: Path) -> TomlFile:
-    """Reads a file; ScenarioError says what is wrong with it."""
+    """Reads a file; ScenarioError for one that is missing or no TOML."""
     try:
         text = path.read_text(encoding="utf-8")
         return TomlFile(path, text, tomllib.loads(text))

@@ -1,4 +1,4 @@
-"""One run of a system: what follows from the system and the experiment, computed and checked once."""
+"""One run of a system: everything that follows from system and experiment, computed and checked once."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -44,7 +44,7 @@ class PreparedRun:
     recorded: names of the recorded variables
     settings: parameters, constant inputs and open ones, with their values as the FMUs take them
     changes: index of a communication point -> what is set there
-    periods: component -> communication steps in one step of its own
+    periods: component -> communication steps in one step of the component
     input_ranges: driven input -> its smallest and largest value
     retry_obstacle: why a discarded step cannot be repeated in shorter steps; empty if it can
     external: input that the caller sets between the steps -> its first value
@@ -144,7 +144,7 @@ def check_for(
     """Returns the checked system, with the inputs that the experiment drives.
 
     external: inputs that the caller sets between the steps
-    descriptions: those of the components, if they have been read already
+    descriptions: of the components, if they have been read already
     """
     driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
     return check(system, driven, descriptions, OpenInputs(experiment.open_inputs))

@@ -45,8 +45,8 @@ def conversion(
     """Returns the change from a unit to the expected one; "" is the expected one.
 
     A definition goes over the meaning of a name in SI units.
-    own: definitions of the FMU that has the expected unit; stated: those of the file or the FMU that states
-    the other one, over these
+    own: definitions of the FMU that has the expected unit; stated: definitions of the file or the FMU
+    that states the other one, over these
     Raises SystemDefinitionError for a unit that is not known, or has another dimension.
     """
     stated = {**own, **(stated or {})}
@@ -75,7 +75,7 @@ def are_equal(unit: str | None, other: str | None, own: Units, stated: Units) ->
 
 
 def in_unit_of(variable: ScalarVariable, unit: str, stated: Units | None = None) -> Conversion:
-    """Returns the change from a unit to that of a variable, as `conversion`."""
+    """Returns the change from a unit to a variable's unit, as `conversion`."""
     own = of_differences(stated) if stated and variable.is_relative else stated
     return conversion(unit, variable.unit or "", variable.units, own)
 
@@ -122,5 +122,5 @@ def read_value(text: str, variable: ScalarVariable) -> FmiValue:
     if match is None:
         return str(text)
     units, file = getattr(text, "units", None), getattr(text, "file", "")
-    # many FMUs state no units: those of a parameter file are then for readers
+    # many FMUs state no units: the units of a parameter file are then for readers
     return in_unit_of(variable, match[2] if variable.unit or not file else "", units)(float(match[1]))

@@ -53,7 +53,7 @@ class LinearTransformation:
         return cls(**{name: float(value) for name, value in given.items()})
 
 
-# type of an input -> types of the outputs that it accepts: those of which every value is one of its own
+# type of an input -> types of outputs that it accepts, of which it can hold every value
 _ACCEPTED = {
     "Real": ("Real", "Integer"),
     "Integer": ("Integer", "Enumeration"),
@@ -259,7 +259,7 @@ def check(
     """Reads every model description and checks every name, type and unit of the system.
 
     driven: inputs that a signal or a constant drives; every other input needs a connection
-    descriptions: those of the components, if they have been read already
+    descriptions: of the components, if they have been read already
     open_inputs: whether an input that nothing drives is an error
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
