@@ -86,7 +86,8 @@ def _around(jumps: np.ndarray, experiment: Experiment) -> np.ndarray:
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
 
 
-_SPARE_S = 10.0  # between points that a signal does not use
+# Between the points that a signal does not use: the parameters need ascending times.
+_SPARE_S = 10.0
 _FEWEST_POINTS = 2
 
 

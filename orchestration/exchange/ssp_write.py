@@ -187,7 +187,8 @@ def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
         connection = add(connections, "ssd:Connection", **ends)
         transformation = variant.prepared.system.transformations.get(target.name)
         if transformation:
-            connection.set("suppressUnitConversion", "true")  # the factor is between the values as they are
+            # the factor acts on unconverted values: an importer must not convert units as well
+            connection.set("suppressUnitConversion", "true")
             values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
             add(connection, "ssc:LinearTransformation", **values)
     _master(system, variant.prepared.experiment)

@@ -57,15 +57,35 @@ def simulate(
 ) -> Recording:
     """Runs a system once and frees its FMUs.
 
-        simulate(system, stop_time=10.0, step_size=0.01)
+    Parameters
+    ----------
+    system : System
+        FMUs and their connections.
+    experiment : Experiment, optional
+        Times, inputs, and how components exchange values.
+    progress, real_time, checkpoints, resume, statistics
+        See `Simulator.run`.
+    timeout : float, optional
+        Longest time [s] of a call of an FMU, such as a step. The FMUs then run in a separate process, so that
+        one that hangs or crashes does no harm to this process.
+    **settings
+        Settings of `Experiment`, in place of `experiment`. Times [s] are by default as the FMUs suggest.
 
-    settings: those of `Experiment`, in place of one; times [s] are by default as the FMUs suggest
-    timeout: longest time [s] that a call of an FMU may take, a step for instance; the FMUs then run in a
-    process of their own, so that one that hangs or crashes does no harm to this process
-    progress, real_time, checkpoints, resume, statistics: see `Simulator.run`
+    Returns
+    -------
+    Recording
+        The recorded variables at the communication points.
 
-    Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
-    `recording` holds the values recorded until then.
+    Raises
+    ------
+    SystemDefinitionError, FmuLoadError
+        Before the run starts, for a system or settings that do not fit.
+    SimulationError
+        For a run that ends early: its `recording` holds the values until then.
+
+    Examples
+    --------
+    simulate(system, stop_time=10.0, step_size=0.01)
     """
     if not isinstance(system, System):
         raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")
@@ -97,7 +117,8 @@ def simulate_prepared(
     fmus: frees the FMUs when it is closed; by default they are freed before this function returns
     """
     if timeout is not None:
-        from orchestration.run.subprocess_run import simulate_in_subprocess  # few runs start processes
+        # imported here: few runs start processes
+        from orchestration.run.subprocess_run import simulate_in_subprocess
 
         return simulate_in_subprocess(system, prepared, timeout, progress, options)
     with ExitStack() as own:

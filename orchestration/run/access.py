@@ -81,7 +81,8 @@ class Access:
 
     def _bus_reader(self, names: Sequence[str]) -> Reader:
         bus, pick, exchange = self._bus, itemgetter(*(self._index[name] for name in names)), self._exchange
-        must_exchange = not self._driven.isdisjoint(names)  # inputs take their value at the exchange
+        # an input gets the value of its present communication point at the exchange, which may be due
+        must_exchange = not self._driven.isdisjoint(names)
 
         def read() -> Any:
             if must_exchange:
@@ -131,7 +132,8 @@ class Access:
 
         def write(value: Any) -> None:
             if not (is_real and isinstance(value, float) and low <= value <= high):
-                value = fmi_value(port, value)  # which converts, or refuses
+                # converts another number type, or raises the error that names the range
+                value = fmi_value(port, value)
             try:
                 bus[index] = value
             except ValueError:
@@ -194,7 +196,8 @@ class Snapshot:
         """Frees the states."""
         for c, instance in enumerate(self._run.instances.values()):
             if self.memory[c]:
-                with suppress(FmuError):  # the instance is freed next, and its states with it
+                with suppress(FmuError):
+                    # an instance that refuses is freed next, and its states with it
                     instance.free_fmu_state(self.memory[c])
             self.memory[c] = 0
 

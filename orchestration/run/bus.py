@@ -123,7 +123,8 @@ class Strings:
     def __init__(self) -> None:
         self._numbers = {"": 0}
         self._encoded = [b""]
-        self._functions: list[Any] = []  # they must live as long as the run
+        # ctypes frees a callback with its Python object: they must live as long as the run
+        self._functions: list[Any] = []
 
     def number(self, text: str) -> int:
         """Returns the index of a text."""

@@ -32,7 +32,8 @@ from orchestration.run.loop_data import Report
 
 _TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
 _lock = threading.Lock()
-_texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
+# keeps alive the memory to which the rows of the table in C refer
+_texts: dict[int, tuple[np.ndarray, bytes]] = {}
 
 
 class ProcessGuard:
@@ -96,7 +97,8 @@ def _runs() -> np.ndarray:
     guard = library()
     guard.guard_runs.restype = ctypes.POINTER(ctypes.c_int64)
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
-    atexit.register(runs.fill, 0)  # the process is ending: an `exit` of an FMU is no longer reported
+    # from then on the process ends in order: the handler in C must not report an `exit` of an FMU
+    atexit.register(runs.fill, 0)
     return runs
 
 
@@ -110,7 +112,8 @@ def deferred_interrupt() -> Iterator[Callable[[], None]]:
                 raise KeyboardInterrupt
 
         yield check_interrupt
-    check_interrupt()  # one that came after the last look
+    # an interrupt may have come after the last check
+    check_interrupt()
 
 
 class _InterruptTimes(list[float]):

@@ -22,7 +22,8 @@ _FUNCTIONS: dict[int, str] = {
     Call.GET_STATE: "fmi2GetFMUstate",
     Call.SET_STATE: "fmi2SetFMUstate",
 }
-_LONGEST_SLEEP_S = 0.1  # between two checks for an interrupt
+# Between two checks for an interrupt, which would otherwise wait for the whole pause.
+_LONGEST_SLEEP_S = 0.1
 _UNMEASURED = nullcontext()
 
 

@@ -16,8 +16,11 @@ from orchestration.run.run_recording import step_unless_discarded
 from orchestration.run.wiring import WiredRun
 from orchestration.system.system import CheckedSystem, Port
 
-_OF_TWO_RESULTS = 2.0  # two steps that are compared have an error of the solver each
-_KEPT = 0.5  # of the solvers' errors, from one communication point to the next: they change with the state
+# Each of the two steps that are compared has an error of the solver.
+_OF_TWO_RESULTS = 2.0
+# Share of the solvers' errors that is kept from one communication point to the next: they change with the
+# state.
+_KEPT = 0.5
 
 
 class Tolerance:
@@ -60,7 +63,8 @@ class Tolerance:
     def beyond_solvers(self, ratios: np.ndarray, fine: np.ndarray, size: float) -> np.ndarray:
         """Returns `error_ratios` where the solvers' own errors are permitted too."""
         permitted, of_solvers = self._permitted(fine, size), _OF_TWO_RESULTS * self.solver_error
-        is_below = of_solvers > permitted  # False where the value is not finite
+        # False where the value is not finite: such an error is not a solver's
+        is_below = of_solvers > permitted
         return np.where(is_below, ratios * permitted / np.where(is_below, of_solvers, 1.0), ratios)
 
     def is_below_solvers(self, fine: np.ndarray, size: float) -> bool:

@@ -12,7 +12,8 @@ import numpy as np
 VOLTAGES, FORCE = ("voltage[1]", "voltage[2]"), "control_force"
 """Inputs by which a vehicle is moved: two voltages, or one force."""
 
-_AT_LIMIT = 1.0 - 1e-12  # of a limit: an allocation that inverts a force may round below it
+# Of a limit: an allocation that inverts a force may round to slightly below it.
+_AT_LIMIT = 1.0 - 1e-12
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ class Actuators:
             values |= {"thruster_tabulated": True}
         else:
             arrays = {"gain": self.lines if self.in_volts else (self.largest_force / voltage_limit,)}
-        if len(self.inputs) == 1:  # a controller gives each of two thrusters half of its force
+        # the controllers have two thrusters, and give each half of the force
+        if len(self.inputs) == 1:
             arrays |= {name: (0.5 * arrays[name][0],) * 2 for name in ("gain", "scale") if name in arrays}
         values |= {f"thruster_{n}[{i}]": x for n, xs in arrays.items() for i, x in enumerate(xs, 1)}
         values |= {"force_limit": self.largest_force}

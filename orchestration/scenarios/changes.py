@@ -95,7 +95,8 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
             raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
         port = Port(component, settable[variable])
         if isinstance(given, StatedValue):
-            fmi_value(port, given)  # which refuses a wrong one
+            # refuses a wrong value, with its place
+            fmi_value(port, given)
             given = read_value(given, port.variable)
         tables.setdefault(f"{port.variable.causality}s", {})[port.name] = given
     return tables

@@ -101,7 +101,8 @@ class DataFile:
 
     def times(self, index: int = 0) -> np.ndarray:
         """Returns a column of times [s]; ScenarioError for one earlier than that before, with its line."""
-        numbers = self.numbers(index)[:, 0]  # first: the unit of dates is refused as such
+        # before the conversion: dates with a unit are refused as dates, not as another dimension
+        numbers = self.numbers(index)[:, 0]
         times = self.conversion(index, "s")(numbers)
         for i in np.flatnonzero(np.diff(times) < 0.0)[:1].tolist():
             raise ScenarioError(
@@ -135,7 +136,8 @@ def read_data_file(path: Path) -> DataFile:
         cells = csv.reader((line for _, line in lines), delimiter=delimiter, strict=True)
         rows = tuple((number, row) for (number, _), row in zip(lines, cells, strict=True))
     except (OSError, csv.Error, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
+        # `strerror` leaves out the number of a system's error
+        reason = getattr(error, "strerror", None) or error
         raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
     begin, first = rows[0] if rows else (1, [])
     start = f"{path}:{begin}"
@@ -175,7 +177,8 @@ def _number(text: str, gaps: bool, delimiter: str) -> float | datetime | None:
     if delimiter != "," and text.count(",") == 1 and "." not in text:
         text = text.replace(",", ".")
     with suppress(ValueError):
-        if "_" not in text:  # with which Python groups digits
+        # float() accepts the underscores by which Python groups digits
+        if "_" not in text:
             return float(text)
     with suppress(ValueError):
         time = datetime.fromisoformat(text)

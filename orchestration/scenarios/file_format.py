@@ -44,7 +44,8 @@ Source = Annotated[
     | Annotated[SourceTable, Tag("table")],
     Discriminator(lambda value: _KINDS.get(type(value), "text")),
 ]
-_OPTIONAL: Any = Field(default=None)  # Experiment has the default
+# `Experiment` has the default: it is stated once
+_OPTIONAL: Any = Field(default=None)
 
 # a file whose values stand for times and values, and their unit
 _CSV: Any = {"file": (str, ""), "column": (str, ""), "unit": (str, "")}

@@ -127,7 +127,8 @@ def _default(value: Any) -> Any:
     if value is inspect.Parameter.empty:
         return ...
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return Field(default_factory=lambda: value)  # which a schema cannot say
+        # JSON has neither INF nor NaN: the schema states no default
+        return Field(default_factory=lambda: value)
     return value
 
 
@@ -156,7 +157,8 @@ class OneOf:
     ) -> dict[str, Any]:
         tables = [*(make() for make in self._tables.values()), *self._keyless.values()]
         members = [*tables, *([Literal[False]] if self._droppable else [])]
-        one_of: Any = Union  # of members that are known here alone
+        # Any: a type checker cannot evaluate a Union of members that are known at run time
+        one_of: Any = Union
         return {"oneOf": handler(TypeAdapter(one_of[tuple(members)]).core_schema)["anyOf"]}
 
     def _validated(self, value: Any) -> Table | Literal[False]:

@@ -33,7 +33,8 @@ def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
 
     if current := builds.BuildCache().current(builds.order_of_file(Path(fmu), flavour), to_run=True):
         return current[0]
-    from fmus.generate import builder  # which loads CasADi
+    # imported here: it loads CasADi
+    from fmus.generate import builder
 
     return builder.fmu_of_file(Path(fmu), flavour)
 
@@ -86,7 +87,8 @@ def variables_of(fmu: str, file: Path) -> Mapping[str, ScalarVariable]:
 
 @cache
 def _declared(block: str) -> Mapping[str, ScalarVariable]:
-    from fmus.generate.describe import model_description  # which loads CasADi
+    # imported here: it loads CasADi
+    from fmus.generate.describe import model_description
 
     text = model_description(load_block(installed(BLOCKS)[block], "block"), block, {}, {})
     description = description_of(ElementTree.fromstring(text))

@@ -248,7 +248,8 @@ class Interface:
         varied = data.get("sweep", {}).get("vary", {}).get(port.name)
         values = varied.get("values", []) if isinstance(varied, dict) else []
         values = [data.get("parameters", {}).get(port.name, start_value(port.variable)), *values]
-        with suppress(SystemDefinitionError):  # of a wrong value, which is refused later
+        with suppress(SystemDefinitionError):
+            # a wrong value is refused later, with its line
             return all(fmi_value(port, one) == fmi_value(port, value) for one in values)
         return False
 

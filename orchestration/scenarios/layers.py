@@ -88,7 +88,8 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
     if base:
         base_path = _file(base, path.parent, shipped() | shipped_bases())
         below = file_layers(base_path, (*above, path.resolve()))
-        below[-1].data.pop("title", None)  # a scenario is not called as its base is
+        # the title names the base's own experiment, not this scenario's
+        below[-1].data.pop("title", None)
     own, parameter_files = with_parameter_files(data, path.parent)
     return [*below, Layer(own, file, tuple(reversed(parameter_files)))]
 
@@ -273,7 +274,8 @@ def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], l
 def _without_other_drivers(below: Data, above: Data) -> Data:
     """Returns `below` without what drives or changes an input that `above` drives in another way."""
     driven = {table: {k for k, v in above.get(table, {}).items() if v is not False} for table in _DRIVING[1:]}
-    driven["inputs"] |= above.get("inputs", {}).keys() - below.get("inputs", {})  # `false` of a Boolean input
+    # `false` is the value of a Boolean input there, not a removal
+    driven["inputs"] |= above.get("inputs", {}).keys() - below.get("inputs", {})
     driven["connections"] = {target for _, target in given_connections(above)}
     result = dict(below)
     for table in _DRIVING:

@@ -133,11 +133,13 @@ def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
     panel.fill_between([0.0, _BAND_END], _TARGET - _BAND, _TARGET + _BAND, **band)
     panel.plot([], [], ":", color=GREY, linewidth=0.8, label="paper")
     panel.plot([], [], "o", color=GREY, markersize=4.0, fillstyle="none", label="settled")
-    for size, curve in zip((6.0, 3.0), curves, strict=True):  # of circles that may coincide
+    # two sizes: the circles of the runs may coincide
+    for size, curve in zip((6.0, 3.0), curves, strict=True):
         colour, settled = curve.line["color"], curve.measured[_SETTLING]
         panel.axvline(curve.published(_SETTLING), color=colour, linewidth=0.8, linestyle=":")
         panel.plot(settled, _TARGET - _BAND, "o", color=colour, markersize=size, fillstyle="none", zorder=3)
-    panel.set_ylim(1.02, -0.05)  # depth points down
+    # the upper end first: depth points down
+    panel.set_ylim(1.02, -0.05)
     panel.set_ylabel("Depth $z$ [m]")
     panel.legend(loc="upper right", ncols=2)
     _compare(panel, "Settling time", _SETTLING, ".1f", "s", curves)

@@ -154,7 +154,8 @@ def _converted(data: Data, port: Callable[[str], Port | None]) -> Data:
     result = {**data, **{table: dict(data.get(table, {})) for table in ("parameters", "inputs")}}
     for entries in (result["parameters"], result["inputs"]):
         for name, value in entries.items():
-            with suppress(FmuLoadError):  # what is not built yet is converted when it runs
+            with suppress(FmuLoadError):
+                # values of an FMU that is not built yet are converted when it runs
                 if isinstance(value, str) and (own := port(name)) and own.variable.type == "Real":
                     entries[name] = fmi_value(own, value)
     return result
@@ -166,7 +167,8 @@ def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe)
         for name in (name for name in file.data.get("parameters", {}) if name in data["parameters"]):
             component, _, variable = name.partition(".")
             fmu = data["components"].get(component)
-            with suppress(FmuLoadError):  # what is not built yet is checked when it runs
+            with suppress(FmuLoadError):
+                # an FMU that is not built yet is checked when it runs
                 if fmu and variable not in describe(fmu):
                     raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
 
@@ -179,9 +181,24 @@ def load_scenario(
 ) -> Scenario:
     """Returns the shipped scenario of a name, or the scenario of a file that ends with .toml.
 
-    overrides: tables as in a file, laid over it
-    settings: "component.variable" -> value of a parameter or a constant input; component -> FMU or block
-    Raises ScenarioError. The FMUs of our blocks have to be built: `l1-depth build --cache`.
+    Parameters
+    ----------
+    scenario : str or Path
+        The name or the file.
+    overrides : mapping, optional
+        Tables as in a file, laid over it.
+    settings : mapping, optional
+        "component.variable" -> value of a parameter or a constant input; component -> FMU or block.
+
+    Returns
+    -------
+    Scenario
+        System, experiment and metrics. FMUs of blocks have to be built to run it: `l1-depth build --cache`.
+
+    Raises
+    ------
+    ScenarioError
+        For a mistake in a file or an argument; it names file and line.
     """
     path = find(str(scenario))
     layers = file_layers(path)

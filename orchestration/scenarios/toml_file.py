@@ -32,6 +32,7 @@ class TomlFile:
     @cached_property
     def lines(self) -> dict[KeyPath, int]:
         """Keys -> line, from 1, of the key or of the header of a table; the second [[a]] is ("a", 1)."""
+        # tomllib does not report the lines of keys
         lines: dict[KeyPath, int] = {}
         table: KeyPath = ()
         count: Counter[KeyPath] = Counter()

@@ -62,19 +62,41 @@ class Event:
 class Experiment:
     """An experiment with a system.
 
-    parameters, inputs: "component.variable" -> value, set before the initialisation
-    signals: "component.variable" -> function of time, set at every communication point
-    record: names of variables of any causality and type; empty means all outputs but Strings, and all signals
-    extrapolation: order, 0 or 1, of the input extrapolation between communication points
-    step_sizes: component -> its own step size [s], a multiple of `step_size`
-    tolerance: of the error caused by exchanging at communication points only; the master then varies the step
-    fmu_tolerance: handed to the FMUs, relative, for their solvers; without it they use their own
-    initialisation: how algebraic loops of initial values are solved
-    faults: on inputs that a connection or a signal drives; several faults on one input act in their order
-    open_inputs: inputs that nothing drives are an error, or keep their FMU's start value
-    error_estimate: whether a second run at twice the step follows, and estimates the error of this one
+    Parameters
+    ----------
+    stop_time, step_size, start_time : float
+        End, communication step size and start [s].
+    algorithm : {"jacobi", "gauss-seidel"}
+        The order in which components step and exchange values.
+    parameters, inputs : mapping
+        "component.variable" -> value, set before the initialisation.
+    signals : mapping
+        "component.variable" -> function of time [s], set at every communication point.
+    events : sequence of Event
+        Variables that are set at a time.
+    record : sequence of str
+        Variables of any causality and type; empty for all signals and all outputs except Strings.
+    extrapolation : {0, 1}
+        Order of the input extrapolation between communication points.
+    step_sizes : mapping
+        Component -> its own step size [s], a multiple of `step_size`.
+    tolerance : float, optional
+        Of the error caused by exchanging at communication points only; the master then varies the step.
+    fmu_tolerance : float, optional
+        Relative tolerance of the FMUs' solvers; by default their own.
+    initialisation : {"automatic", "fixed-point", "newton"}
+        How algebraic loops of initial values are solved.
+    faults : sequence of Fault
+        On inputs that a connection or a signal drives; several faults on one input act in their order.
+    open_inputs : {"error", "start"}
+        Inputs that nothing drives are an error, or keep their FMU's start value.
+    error_estimate : bool
+        Whether a second run at twice the step follows, and estimates the error of this one.
 
-    Raises SystemDefinitionError for values that do not fit together.
+    Raises
+    ------
+    SystemDefinitionError
+        For values that do not fit together.
     """
 
     stop_time: float

@@ -87,7 +87,8 @@ class PreparedRun:
             signal = replace(signal, hold=True)
         try:
             values[:] = values_at(signal, self.points)
-        except Exception as error:  # whatever a user's own function raises
+        except Exception as error:
+            # a user's function may raise anything
             raise SystemDefinitionError(f"signal {name}: {error!r}", ("signals", name)) from error
         expected, is_possible = possible_values(self.system.ports[name], values)
         for i in np.flatnonzero(~is_possible)[:1]:
@@ -111,6 +112,7 @@ class PreparedRun:
     def copy(self, **changes: Any) -> "PreparedRun":
         """Returns this run with other members; times and signals are its own, and a run may change them."""
         again = replace(self, points=self.points.copy(), **changes)
+        # fills the cached property: signals are functions of users, and are not called again
         vars(again)["signal_values"] = self.signal_values.copy()
         return again
 
@@ -288,8 +290,10 @@ def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
     return values
 
 
-_MOST_STEPS = 100_000  # whose times and signals stay in memory
-_IMMUTABLE = (Constant, Cosine, Ramps)  # signals that cannot have changed if they are equal
+# Longer runs are prepared anew each time: their times and signals would stay in memory.
+_MOST_STEPS = 100_000
+# Signals whose members cannot change: equal ones give equal values. A table has arrays.
+_IMMUTABLE = (Constant, Cosine, Ramps)
 _VALUES = ("parameters", "inputs")
 
 
@@ -315,7 +319,8 @@ class PreparedRuns:
         key = _key(system, experiment) if not external else None
         self.only_values_differ = key is not None and key == self._key
         if not (self.only_values_differ and self._first):
-            self._key, self._first = None, None  # should anything be refused
+            # forgotten first: if the run is refused, the next one is compared with nothing
+            self._key, self._first = None, None
             first = prepare_checked(system, experiment, external)
             if key is None:
                 return first

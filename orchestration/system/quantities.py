@@ -15,7 +15,8 @@ from orchestration.errors import SystemDefinitionError
 
 Units = Mapping[str, UnitDefinition]
 """Name of a unit -> its definition by an FMU or a file."""
-_EQUAL = 1e-12  # tools write the factor of one unit with 15 or with 17 digits
+# Tools write the factor of one unit with 15 or with 17 digits.
+_EQUAL = 1e-12
 # not "1,5 m", "1.2.3 m" or "1 000 m"
 _QUANTITY = re.compile(
     r"((?>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:inf|nan)(?=\s)))\s*(?![.,']|\d[\d\s.,])(\S.*)"

@@ -222,7 +222,8 @@ def _quintic_rate(s: np.ndarray, order: int) -> np.ndarray:
     return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 
-_LOWEST, _HIGHEST = 0.5, 4.0  # of the peak frequency; JONSWAP has 0.4 % of its variance above
+# Of the peak frequency: JONSWAP has 0.4 % of its variance above the highest.
+_LOWEST, _HIGHEST = 0.5, 4.0
 _MOST_COMPONENTS = 10_000
 
 

@@ -79,11 +79,19 @@ class Port:
 class System:
     """A system: named FMUs and their connections, (source, target) as "component.variable".
 
-    A component may also be a policy class, "my.py:Policy": its FMU is made in the user's cache.
+    Parameters
+    ----------
+    components : mapping
+        Name -> path of an FMU, or policy class, "my.py:Policy", whose FMU is made in the user's cache.
+    connections : iterable
+        (source, target). A third item, {"factor": 0.001, "offset": 0.0}, transforms the value.
 
-    A third item, {"factor": 0.001, "offset": 0.0}, transforms what the connection carries.
-
-    Raises SystemDefinitionError for another form, ExportError for a class that is no policy.
+    Raises
+    ------
+    SystemDefinitionError
+        For another form.
+    ExportError
+        For a class that is no policy.
     """
 
     components: Mapping[str, Path]
@@ -241,7 +249,8 @@ class CheckedSystem:
 
 def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
     """Returns the strongly connected component of each node."""
-    from scipy.sparse import coo_array  # only for loops: it takes as long to import as all the rest
+    # imported for loops alone: it takes as long to import as all the rest
+    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     edges = [(earlier, i) for i, all_earlier in dependencies.items() for earlier in all_earlier]

@@ -17,7 +17,8 @@ from orchestration.system.system import Port
 
 Value = FmiValue | np.generic  # as users give it
 
-_ROUNDING = 1e-15  # of a signal's largest value: some units in the last place, by which it may miss a limit
+# Of a signal's largest value: some units in the last place, by which a computed curve may miss a limit.
+_ROUNDING = 1e-15
 _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (bool,)}  # others: int
 
 
@@ -49,6 +50,7 @@ def value_of_open_input(port: Port) -> FmiValue:
 
 def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValue]:
     """Returns the values as the FMU takes them, as `fmi_value`."""
+    # a sweep has thousands of values: plain floats are checked at once
     is_double = port.variable.type == "Real" and not port.variable.is_float32
     if is_double and all(type(value) is float for value in values):
         low, high = value_range(port)
