@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 _STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_MODULES = {words[3]: words[1] for words in map(str.split, _STUB.splitlines())}  # from MODULE import NAME as
+# a line reads: from MODULE import NAME as NAME
+_MODULES = {words[3]: words[1] for words in map(str.split, _STUB.splitlines())}
 __all__ = [*_MODULES]  # noqa: PLE0604  # pyright: ignore[reportUnsupportedDunderAll]
 
 

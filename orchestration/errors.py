@@ -1,10 +1,10 @@
-"""Errors and warnings around FMUs, in words that say what to do next."""
+"""Errors and warnings around FMUs."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-# those of one FMU stand with the FMU
+# errors of one FMU stand with the FMU
 from fmus.errors import FmuError, FmuLoadError, FmuWarning, OrchestrationError  # noqa: F401
 
 Key = str | tuple[str | int, ...]
@@ -12,37 +12,37 @@ Key = str | tuple[str | int, ...]
 
 
 class InputError(OrchestrationError):
-    """An error in what is given; about: what it says something of, so that a file can be searched for it.
+    """An error in a file, an option or an argument.
 
-    None: the message begins with its place.
+    about: the names and keys that a file is searched for, to add the line
+    place: begins the message, such as "gains.toml:2: "; no file is searched then
     """
 
-    def __init__(self, message: str, *about: Key) -> None:
-        super().__init__(message)
-        self.about: tuple[Key, ...] | None = about
+    def __init__(self, message: str, *about: Key, place: str = "") -> None:
+        super().__init__(f"{place}{message}")
+        self.about, self.is_placed = about, bool(place)
 
 
 @contextmanager
 def about(*keys: Key) -> Iterator[None]:
-    """Errors in what is given, raised inside, say something of these too."""
+    """Adds keys to `InputError.about` of an error that is raised inside."""
     try:
         yield
     except InputError as error:
-        if error.about is not None:
-            error.about = (*error.about, *keys)
+        error.about = (*error.about, *keys)
         raise
 
 
 class ScenarioError(InputError):
-    """A scenario file that says something wrong or not enough."""
+    """An error in a scenario file."""
 
 
 class SweepError(OrchestrationError):
-    """A sweep that cannot begin, or cannot go on; what is done is kept."""
+    """An error of a sweep that cannot begin or go on; finished runs are kept."""
 
 
 class SystemDefinitionError(InputError):
-    """Components and connections that do not fit; found before anything is loaded."""
+    """An error of components, connections or settings that do not fit, found before anything is loaded."""
 
 
 class EnsembleError(SystemDefinitionError):
@@ -54,7 +54,7 @@ class ScenarioWarning(UserWarning):
 
 
 class SimulationError(OrchestrationError):
-    """A run that ended early; `recording` holds what was recorded until then."""
+    """An error of a run that ended early; `recording` holds the values until then."""
 
     def __init__(self, reason: str, recording: Any) -> None:
         super().__init__(reason, recording)

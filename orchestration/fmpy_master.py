@@ -44,12 +44,14 @@ class Variable:
         integer, size = ("Int64", (math.prod(declared.shape),)) if component.is_fmi_3 else ("Integer", ())
         suffix = integer if declared.type == "Enumeration" else declared.type
         self._get, self._set = (getattr(component.fmu, verb + suffix) for verb in ("get", "set"))
-        self._size = size  # a further argument of FMI 3.0: how many values the variable has
+        # a further argument in FMI 3.0: an array has several values under one value reference
+        self._size = size
 
     def get(self) -> Any:
         """Returns the value."""
         value = self._get(self._references, *self._size)[self._index]
-        return value.decode() if isinstance(value, bytes) else value  # FMPy decodes Strings of FMI 3.0 alone
+        # FMPy decodes Strings of FMI 3.0 but not of FMI 2.0
+        return value.decode() if isinstance(value, bytes) else value
 
     def set(self, value: Value) -> None:
         """Sets the value, of an Enumeration also by the name of an item."""
@@ -139,7 +141,8 @@ class Master:
 
     def initialise(self, signals: Mapping[str, float]) -> None:
         """Exchanges initial values until none changes."""
-        most = len(self.connections) + 2  # n connections in a row need n, and one more to see no change
+        # a chain of n connections needs n exchanges, and one more shows that nothing changes
+        most = len(self.connections) + 2
         for _ in range(most):
             before = self.values.copy()
             self.for_each(self.read_outputs)
@@ -181,12 +184,36 @@ def simulate(
 ) -> Recording:
     """Runs components once and returns the recorded variables at the communication points.
 
-    fmus: component -> FMU; connections: (output, input), as "component.variable"
-    stop_time, step_size, start_time: [s]
-    start_values: of parameters and inputs; signals: input -> function of time [s]
+    Parameters
+    ----------
+    fmus : mapping
+        Component -> path of its FMU.
+    connections : sequence of pairs
+        (output, input), as "component.variable".
+    stop_time, step_size, start_time : float
+        Times [s].
+    algorithm : {"jacobi", "gauss-seidel"}
+        The order in which components step and exchange values.
+    start_values : mapping
+        Parameter or input -> value.
+    signals : mapping
+        Input -> function of time [s].
+    record : sequence of str
+        Variables, "component.variable".
 
-    Raises SystemDefinitionError for a wrong name, input or value, OrchestrationError for values that are not
-    finite or do not settle at the start, FMPy's FMICallException for a call that an FMU refuses.
+    Returns
+    -------
+    Recording
+        Times, shape (n,), and values, shape (n, len(record)).
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a wrong name, input or value.
+    OrchestrationError
+        For values that are not finite or do not settle at the start.
+    FMICallException
+        Of FMPy, for a call that an FMU refuses.
     """
     if algorithm not in ("jacobi", "gauss-seidel"):
         raise SystemDefinitionError(f"algorithm {algorithm!r}: expected 'jacobi' or 'gauss-seidel'")

@@ -84,7 +84,7 @@ class Changes:
         changed: dict[str, str] = {name: fmu for name, fmu in chosen.items() if fmu}
         is_file = parameters.endswith(".toml")
         if is_file:
-            from orchestration.scenarios.read_layers import stated_values
+            from orchestration.scenarios.layers import stated_values
             from orchestration.scenarios.toml_file import read_toml
 
             values = stated_values(read_toml(Path(parameters)))

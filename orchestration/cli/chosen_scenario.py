@@ -13,7 +13,7 @@ from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.changes import given_layers
 from orchestration.scenarios.fmu_files import build_missing, files_of
-from orchestration.scenarios.read_layers import file_layers
+from orchestration.scenarios.layers import file_layers
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.toml_file import placed
 

@@ -257,7 +257,7 @@ def inspect(
     """
     from fmus.fmi.description import describe
     from orchestration.scenarios.fmu_files import build_missing, fmu_file
-    from orchestration.scenarios.read_layers import named_fmu
+    from orchestration.scenarios.layers import named_fmu
 
     if fmu.suffix == ".py" or not (fmu.exists() or fmu.suffix == ".fmu"):
         fmu = fmu_file(named_fmu(str(fmu), Path(), lambda keys: str(fmu), ()))

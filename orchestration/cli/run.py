@@ -155,7 +155,7 @@ def scenarios() -> None:
 
     For example, l1-depth run nominal-l1 runs one of them.
     """
-    from orchestration.scenarios.read_layers import shipped
+    from orchestration.scenarios.layers import shipped
     from orchestration.scenarios.toml_file import read_toml
 
     for name, path in shipped().items():

@@ -62,8 +62,8 @@ def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> N
 def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
     """Returns ramps, constants and tables as ramps; ScenarioError for any other signal.
 
-    A jump of a table becomes a ramp of one communication step, so that the values at every communication
-    point of the experiment are those of the table.
+    A jump of a table becomes a ramp of one communication step, which keeps the table's
+    value at every communication point of the experiment.
     """
     if isinstance(signal, Ramps):
         return signal
@@ -80,13 +80,14 @@ def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
 
 
 def _around(jumps: np.ndarray, experiment: Experiment) -> np.ndarray:
-    """Returns the communication points at which jumps arrive, and those before them [s]."""
+    """Returns the communication points where jumps arrive, and the points before them [s]."""
     start, step = experiment.start_time, experiment.step_size
     arrivals = np.ceil((jumps - start) / step - GRID_TOLERANCE)
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
 
 
-_SPARE_S = 10.0  # between points that a signal does not use
+# Between the points that a signal does not use: the parameters need ascending times.
+_SPARE_S = 10.0
 _FEWEST_POINTS = 2
 
 
@@ -98,7 +99,7 @@ class RampSource:
     unit: of the output as FMI names it, "" if the driven input has none
     points: how many; parameters point_time[i] [s], point_value[i] [unit] and smooth
     driven: FMU that it drives; the source is to run on the same platforms
-    starts: parameter -> value that it is to start with: those of the first scenario
+    starts: parameter -> start value, from the first scenario
     """
 
     name: str
@@ -141,7 +142,7 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
 
 
 def _unused_name(target: str, used: set[str]) -> str:
-    """Returns the name of the input as an identifier, after that of its component if it is used already."""
+    """Returns the name of the input as an identifier, after its component's name if it is used already."""
     for name in (target.partition(".")[2], target):
         identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
         if identifier not in used:

@@ -35,8 +35,7 @@ from orchestration.exchange.limits import (
 )
 from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
 from orchestration.scenarios.fmu_files import fmu_file
-from orchestration.scenarios.layers import components_of
-from orchestration.scenarios.read_layers import file_layers
+from orchestration.scenarios.layers import components_of, file_layers
 from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -188,7 +187,8 @@ def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
         connection = add(connections, "ssd:Connection", **ends)
         transformation = variant.prepared.system.transformations.get(target.name)
         if transformation:
-            connection.set("suppressUnitConversion", "true")  # the factor is between the values as they are
+            # the factor acts on unconverted values: an importer must not convert units as well
+            connection.set("suppressUnitConversion", "true")
             values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
             add(connection, "ssc:LinearTransformation", **values)
     _master(system, variant.prepared.experiment)

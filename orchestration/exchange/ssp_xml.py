@@ -27,7 +27,8 @@ STRUCTURE = "SystemStructure.ssd"  # the file that every importer opens
 OSP, OMS = "com.opensimulationplatform", "org.openmodelica"  # types of annotations
 
 for _prefix, _uri in NAMESPACES.items():
-    ElementTree.register_namespace(_prefix, _uri)  # importers look for these prefixes by their letters
+    # some importers search for these prefixes as text, whatever the namespace
+    ElementTree.register_namespace(_prefix, _uri)
 
 
 def tag(name: str) -> str:

@@ -14,8 +14,8 @@ from orchestration.many.places import AUTO, PROCESSOR
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
+from orchestration.run.access import SavedState
 from orchestration.run.run import Run
-from orchestration.run.saved_states import SavedState
 from orchestration.scenarios.changes import with_values
 from orchestration.scenarios.task import Task
 from orchestration.system.experiment import Experiment

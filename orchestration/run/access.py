@@ -1,18 +1,27 @@
-"""Values of a run by their names, read and set at a communication point.
+"""Access to a run at a communication point: its values, read and set by name, and its whole state.
 
-A reader and a writer know the places of their values on the bus, so that nothing is looked up in a step.
+A reader and a writer hold the indices of their values on the bus, so that a step looks nothing up.
+
+A run that goes back writes new rows over the old ones of its record. Should it later go to a state that was
+saved on the way it left, the rows that lead there are needed again: they are copied when it leaves that way.
 """
 
+import ctypes
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
 from typing import Any
 
+import numpy as np
+
 from fmus.fmi.variable_types import FmiValue
-from orchestration.errors import OrchestrationError, SystemDefinitionError
+from orchestration.errors import FmuError, OrchestrationError, SystemDefinitionError
 from orchestration.run.bus import SIGNAL
-from orchestration.run.loop_data import Report
+from orchestration.run.loop_data import Report, SavedMemory
+from orchestration.run.run_recording import failure_error
 from orchestration.run.wiring import WiredRun
 from orchestration.system.experiment_checks import check_changeable
 from orchestration.system.system import Port
@@ -31,7 +40,7 @@ class Access:
     """Reads and sets values of one run, until it is closed.
 
     exchange: gives inputs at the present communication point the values that they have there
-    written: gets what is set, if the error of the run is to be estimated
+    written: gets the values that are set, if the error of the run is to be estimated
     """
 
     def __init__(self, run: WiredRun, exchange: Callable[[], object], written: list[Written]) -> None:
@@ -72,7 +81,8 @@ class Access:
 
     def _bus_reader(self, names: Sequence[str]) -> Reader:
         bus, pick, exchange = self._bus, itemgetter(*(self._index[name] for name in names)), self._exchange
-        must_exchange = not self._driven.isdisjoint(names)  # inputs take their value at the exchange
+        # an input gets the value of its present communication point at the exchange, which may be due
+        must_exchange = not self._driven.isdisjoint(names)
 
         def read() -> Any:
             if must_exchange:
@@ -112,8 +122,8 @@ class Access:
         return write_and_note
 
     def _writer(self, name: str) -> Callable[[Value], None]:
-        check_changeable(self._system, name, "set", self._driven_by_others)
-        port = self._system.ports[name]
+        port = self._system.port(name, "set")
+        check_changeable(port, "set", self._driven_by_others)
         if name not in self._run.prepared.external:
             return lambda value: set_in_fmu(self._run, port, fmi_value(port, value))
         bus, index = self._bus, self._index[f"{SIGNAL}{name}"]
@@ -122,7 +132,8 @@ class Access:
 
         def write(value: Any) -> None:
             if not (is_real and isinstance(value, float) and low <= value <= high):
-                value = fmi_value(port, value)  # which converts, or refuses
+                # converts another number type, or raises the error that names the range
+                value = fmi_value(port, value)
             try:
                 bus[index] = value
             except ValueError:
@@ -149,3 +160,111 @@ def set_in_fmu(run: WiredRun, port: Port, value: FmiValue) -> None:
 def stale(what: str) -> str:
     """Returns the error about something that belongs to a run before the present one."""
     return f"the {what} belongs to a run that has ended: expected a {what} of the present run"
+
+
+class Snapshot:
+    """The states of all FMUs and the arrays of the loop at one time; call `free` at the end.
+
+    memory: as `LoopFunctions.save` fills it
+    """
+
+    __slots__ = ("_run", "memory")
+
+    def __init__(self, run: WiredRun) -> None:
+        self._run = run
+        self.memory: SavedMemory = (ctypes.c_int64 * (len(run.instances) + len(run.wiring.memory)))()
+
+    def take(self) -> None:
+        """Replaces the snapshot by the present states and arrays."""
+        if not self._run.loop.save(self.memory):
+            raise failure_error(self._run)
+
+    def restore(self) -> None:
+        """Sets all states and arrays back, also after a failure.
+
+        Drops the instances' messages and their failures.
+        """
+        for instance in self._run.instances.values():
+            instance.log.clear()
+        if not self._run.loop.restore(self.memory):
+            raise failure_error(self._run)
+        self._run.wiring.report[Report.TERMINATED] = 0
+        for instance in self._run.instances.values():
+            instance.forget_failure()
+
+    def free(self) -> None:
+        """Frees the states."""
+        for c, instance in enumerate(self._run.instances.values()):
+            if self.memory[c]:
+                with suppress(FmuError):
+                    # an instance that refuses is freed next, and its states with it
+                    instance.free_fmu_state(self.memory[c])
+            self.memory[c] = 0
+
+
+class Segment:
+    """A segment of the record, from one saved state to the next.
+
+    before: the segment that leads to its beginning, itself for the first
+    end: the communication point where it ends
+    parts: the rows of each array of the record, once they may be overwritten there
+    """
+
+    __slots__ = ("before", "end", "parts")
+
+    def __init__(self, before: "Segment | None", end: int) -> None:
+        self.before, self.end = before or self, end
+        self.parts: list[np.ndarray] | None = None
+
+
+class Record:
+    """The arrays of a run that grow from point to point, a row for each.
+
+    Those before `present.end` lead to the state that was saved or restored last.
+    """
+
+    def __init__(self, *arrays: np.ndarray) -> None:
+        self._arrays = [array for array in arrays if array.size]
+        self.present = Segment(None, 0)
+
+    def keep(self, point: int) -> Segment:
+        """Returns the segment that leads to a point, of what was recorded until then."""
+        if self.present.end != point:
+            self.present = Segment(self.present, point)
+        return self.present
+
+    def return_to(self, segment: Segment) -> None:
+        """Brings back what was recorded until a segment's end."""
+        present, target, missing = self.present, segment, []
+        while present is not target:
+            if present.end > target.end:
+                if present.parts is None:
+                    start, end = present.before.end, present.end
+                    present.parts = [array[start:end].copy() for array in self._arrays]
+                present = present.before
+            else:
+                missing.append(target)
+                target = target.before
+        for lost in missing:
+            for array, part in zip(self._arrays, lost.parts or (), strict=True):
+                array[lost.before.end : lost.end] = part
+        self.present = segment
+
+
+@dataclass(eq=False, slots=True)
+class SavedState:
+    """The whole system at one communication point of a run: opaque, for `Run.restore` in that run.
+
+    written: the caller's values until then, if the error is to be estimated
+    unused: memory for the run's next saved states; a deleted state returns its snapshot there
+    """
+
+    snapshot: Snapshot
+    position: int
+    step_control: Mapping[str, Any]
+    segment: Segment
+    written: tuple[Written, ...]
+    unused: list[Snapshot]
+
+    def __del__(self) -> None:
+        self.unused.append(self.snapshot)

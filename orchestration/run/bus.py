@@ -39,8 +39,8 @@ class BusLayout:
     """connections: (source, target) of connections and signals, in the order of the target's component
 
     input_modes: of the connections
-    calls: kind of call -> its groups, one for each call: variables that are read, which need not be outputs,
-    inputs that are set, and those of them whose derivatives are set
+    calls: kind of call -> its groups, one for each call: variables that are read (outputs and others), inputs
+    that are set, inputs whose derivatives are set
     integer_count: how many variables are not Real
     index: name -> index on the bus
     """
@@ -123,7 +123,8 @@ class Strings:
     def __init__(self) -> None:
         self._numbers = {"": 0}
         self._encoded = [b""]
-        self._functions: list[Any] = []  # they must live as long as the run
+        # ctypes frees a callback with its Python object: they must live as long as the run
+        self._functions: list[Any] = []
 
     def number(self, text: str) -> int:
         """Returns the index of a text."""

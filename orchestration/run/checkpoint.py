@@ -33,8 +33,8 @@ class Checkpoint:
     position, time: index and time [s] of the communication point
     step_control: `StepControl.state`
     past: part of the run -> digest of its data until then
-    strings: of Strings, whose numbers are in the arrays
-    states: component -> serialised state of its FMU; arrays: those of the loop, by name
+    strings: the table of `Strings`, whose numbers are in the arrays
+    states: component -> serialised state of its FMU; arrays: the loop's, by name
     """
 
     position: int
@@ -59,7 +59,13 @@ class Checkpoint:
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:
-    """Reads the file of `Checkpoint.write`; OrchestrationError for another file."""
+    """Reads the file of `Checkpoint.write`.
+
+    Raises
+    ------
+    OrchestrationError
+        For a missing file, another file, or another version.
+    """
     try:
         with np.load(path, allow_pickle=False) as content:
             head = json.loads(content["head"].tobytes())
@@ -179,7 +185,15 @@ def _past(run: Run, position: int) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Checkpoints to save: when the run is interrupted, and every so many simulated seconds."""
+    """Checkpoints to save when the run is interrupted, and at intervals.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; each checkpoint replaces the one before.
+    every : float
+        Simulated time between checkpoints [s]; by default only an interrupted run is saved.
+    """
 
     path: str | Path
     every: float = math.inf

@@ -71,7 +71,8 @@ def _members(wiring: Wiring) -> list[int]:
 
 def library() -> ctypes.CDLL:
     """Returns the loop of the wheel, or one compiled once for this user; OrchestrationError if it fails."""
-    with _loading:  # two threads would load it twice, each with a floating-point mode of its own to restore
+    # two threads would load it twice, each with another floating-point mode to restore
+    with _loading:
         loaded = _library_or_error()
     if isinstance(loaded, Exception):
         raise OrchestrationError(f"the communication loop is not compiled: {loaded}") from loaded
@@ -95,7 +96,8 @@ def _library_or_error() -> ctypes.CDLL | Exception:
 if TYPE_CHECKING:
     from concurrent.futures import ThreadPoolExecutor
 
-_LEAST_STEP_S = 1e-4  # of all components together; waiting for each other takes some microseconds
+# of all components together: threads that wait for each other cost some microseconds a step
+_LEAST_STEP_S = 1e-4
 _FASTER = 0.9  # of the time without threads
 
 
@@ -123,7 +125,8 @@ class StepThreads:
         can_share = loop.help is not None and not wiring.gauss_seidel
         self._threads = min(most, len(wiring.instances)) if can_share else 1
         self._pool: ThreadPoolExecutor | None = None
-        self._single_s, self._has_run = 0.0, False  # of a step without threads, after the first, slower batch
+        # time of a step without threads; the first batch is slower, and is not counted
+        self._single_s, self._has_run = 0.0, False
 
     def run(self, first: int, last: int) -> int:
         """Implements `LoopFunctions.run`."""
@@ -141,7 +144,8 @@ class StepThreads:
         return reached
 
     def _run_together(self, first: int, last: int) -> int:
-        from concurrent.futures import ThreadPoolExecutor  # few runs have steps that take long
+        # imported here: few runs have steps that are long enough for threads
+        from concurrent.futures import ThreadPoolExecutor
 
         self._pool = self._pool or ThreadPoolExecutor(self._threads - 1, "l1-depth-step")
         assert self._loop.help

@@ -7,12 +7,12 @@ step, which goes on beside it. With a tolerance, the second run has a tolerance 
 component that takes one internal step for each communication step does so in both runs: its parameter
 `internal_step` [s] becomes longer too.
 
-What is recorded is a bound rather than d / (2^p - 1) itself: a multiple of the largest d of the last three
-common points, as d may pass through 0 where the error does not.
+The recording holds a bound: a multiple of the largest d of the last three common points. d / (2^p - 1) itself
+is no bound, because d may pass through 0 where the error does not.
 
     held inputs, p = 1           3 d: three times the estimate, Roache's factor for two grids
-    extrapolated inputs, p = 2   2 d: six times the estimate, twice that of p = 1, to which the order falls
-                                 where an input jumps
+    extrapolated inputs, p = 2   2 d: six times the estimate, twice the multiple of p = 1, to which the
+                                 order falls where an input jumps
 
 Source: P. J. Roache, Perspective: a method for uniform reporting of grid refinement studies, J. Fluids Eng.
 116 (1994). tests/orchestration/run/test_error_estimate.py compares it with the true error.

@@ -25,9 +25,12 @@ from orchestration.system.system import CheckedSystem, LinearTransformation, Por
 _MOST_ITERATIONS = 1000
 _TOLERANCE = 1e-12  # of a value or its nominal, whichever is larger
 _DIVERGENCE = 1e3  # growth of the change from iteration to iteration, from which on it diverges
-_PENALTY = 10.0  # times the largest residual so far: the residual of a value that is discarded
-_SINGULAR = 1e-7  # smallest singular value of the Jacobian; difference quotients are good to about 1e-8
-_DIFFERENCE = 1.5e-8  # relative change for a difference quotient, about the root of the rounding
+# A discarded value gets this multiple of the largest residual so far: the solver then shortens its step.
+_PENALTY = 10.0
+# Smallest singular value of the Jacobian: difference quotients are good to about 1e-8.
+_SINGULAR = 1e-7
+# Relative change for a difference quotient, about the square root of the rounding error.
+_DIFFERENCE = 1.5e-8
 
 
 def initialise(
@@ -159,7 +162,7 @@ class Loop:
 
 
 def _number(value: FmiValue) -> float:
-    """Returns the value; of a String, a number that tells it from others."""
+    """Returns the value; for a String, a number that differs for different texts."""
     return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 
@@ -196,7 +199,8 @@ def _solve_by_newton(loop: Loop, start: np.ndarray) -> None:
     A value that an FMU discards, or for which an output is not finite, gets a large residual: the method then
     takes a shorter step.
     """
-    from scipy.optimize import root  # only for loops: it takes as long to import as all the rest
+    # imported for loops alone: it takes as long to import as all the rest
+    from scipy.optimize import root
 
     if not loop.is_real:
         raise NoSolutionError("Newton's method needs variables of type Real")
@@ -235,7 +239,8 @@ def _check_solution(loop: Loop, solution: np.ndarray, residual: Callable[[np.nda
     values = solution * loop.nominal
     width = _DIFFERENCE * np.maximum(np.abs(solution), 1.0)
     jacobian: Any = approx_fprime(solution, residual, width)
-    difference = residual(solution) * loop.nominal  # last, so that the FMUs keep these values
+    # computed last: the FMUs keep the values of the last evaluation
+    difference = residual(solution) * loop.nominal
     size = loop.relative_size(difference, values)
     if size > _TOLERANCE:
         raise NoSolutionError(f"Newton's method ends where values still differ by {size:.3g}")

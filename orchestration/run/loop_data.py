@@ -32,7 +32,7 @@ Team = IntEnum("Team", "IS_USED IS_OVER TICKET DONE POINT END", start=0)
 
 
 class Calls(NamedTuple):
-    """fmi2Get... or fmi2Set... calls, one a row; those of component c are rows first[c]..first[c+1]-1.
+    """fmi2Get... or fmi2Set... calls, one a row; rows first[c]..first[c+1]-1 belong to component c.
 
     function, references, buffer: addresses; size: number of values
     bus_index: of the first value on the bus
@@ -122,7 +122,7 @@ class Wiring(NamedTuple):
     0 for a state that it cannot save
     periods: communication steps in one step of the component
     fixed_step_size: step size [s] of a component that cannot vary it, else 0
-    step_start: time [s] at which the present step of the component starts
+    step_start: start time [s] of the component's present step
     error_logged: not 0 after the component logged an error
     warning, warning_time: kind of its first call that returned a warning, and the step start then [s]
     signal_values: one row for each signal, one column for each point; signal_index: of the signals on the bus
@@ -190,7 +190,7 @@ SavedMemory = ctypes.Array[ctypes.c_int64]
 
 
 class LoopFunctions(NamedTuple):
-    """The functions of the loop for one wiring: those of loop.c, without their first argument.
+    """The functions of loop.c for one wiring, without their first argument.
 
     help: called by each thread that shares the steps of `run`, until that ends
     """

@@ -2,7 +2,7 @@
 
 An interrupt waits for the end of a step: inside an FMU it would look like the FMU's own failure.
 
-After each call of an FMU the floating-point mode (rounding, denormals) is that of before. An FMU that calls
+After each call of an FMU the floating-point mode (rounding, denormals) is restored. An FMU that calls
 `exit` is named, and the status is 70; for `_exit` and crashes see `fmus/fmi/parent_process.py`. A child that
 an FMU forks ends where it returns from a call, and the run ends with an error.
 Whatever else FMUs change in this process stays: locale, environment, handlers of signals, open files. With a
@@ -32,7 +32,8 @@ from orchestration.run.loop_data import Report
 
 _TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
 _lock = threading.Lock()
-_texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
+# keeps alive the memory to which the rows of the table in C refer
+_texts: dict[int, tuple[np.ndarray, bytes]] = {}
 
 
 class ProcessGuard:
@@ -81,7 +82,7 @@ class ProcessGuard:
 def new_report() -> np.ndarray:
     """Returns the report of a run, where the process that waits for this one can read which FMU is busy.
 
-    That process reads one report: the run of another thread has memory of its own.
+    That process reads one report: the run of another thread has separate memory.
     """
     is_main = threading.current_thread() is threading.main_thread()
     memory = parent_process.report_memory(8 * len(Report)) if is_main else None
@@ -96,7 +97,8 @@ def _runs() -> np.ndarray:
     guard = library()
     guard.guard_runs.restype = ctypes.POINTER(ctypes.c_int64)
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
-    atexit.register(runs.fill, 0)  # from then on the process ends by itself
+    # from then on the process ends in order: the handler in C must not report an `exit` of an FMU
+    atexit.register(runs.fill, 0)
     return runs
 
 
@@ -110,7 +112,8 @@ def deferred_interrupt() -> Iterator[Callable[[], None]]:
                 raise KeyboardInterrupt
 
         yield check_interrupt
-    check_interrupt()  # one that came after the last look
+    # an interrupt may have come after the last check
+    check_interrupt()
 
 
 class _InterruptTimes(list[float]):
@@ -124,7 +127,7 @@ class _InterruptTimes(list[float]):
 def kept_interrupts() -> Iterator[list[float]]:
     """Interrupts only leave their time [s of time.monotonic] in the list given.
 
-    Inside another such context the list is that of the outer one, with the interrupts that came before.
+    Inside another such context the list is the outer one's, with the interrupts that came before.
     Outside the main thread, which receives no interrupts, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():

@@ -18,28 +18,40 @@ import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run.access import Access, Reader, Writer, Written, set_in_fmu, stale
+from orchestration.run.access import (
+    Access,
+    Reader,
+    Record,
+    SavedState,
+    Snapshot,
+    Writer,
+    Written,
+    set_in_fmu,
+    stale,
+)
 from orchestration.run.compiled_loop import StepThreads
 from orchestration.run.initialisation import initialise
 from orchestration.run.loop_data import Report
 from orchestration.run.process_guard import ProcessGuard, deferred_interrupt
-from orchestration.run.run_clock import Pacing, RunStatistics
 from orchestration.run.run_recording import (
+    Pacing,
+    RunStatistics,
     emit_warnings,
     failure_error,
     is_discarded_step,
     make_recording,
     reason_of,
 )
-from orchestration.run.saved_states import Record, SavedState, Snapshot
 from orchestration.run.step_control import StepControl, termination_within_step
 from orchestration.run.wiring import WiredRun, move_point
 from orchestration.system.values import Value
 
 _BATCH_S = 0.05
-_GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
+# Largest growth of a batch from one to the next: the first batches measure the time of a step.
+_GROWTH = 8
 _MOST_STEPS = 1_000_000  # in a batch
-_LOOK_EVERY_S = 1e-3  # at what FMUs did to this process, and at their warnings
+# At changes of this process by FMUs, and at their warnings; looking takes longer than a light step.
+_LOOK_EVERY_S = 1e-3
 _POSITION, _RECORDED, _TERMINATED = int(Report.POSITION), int(Report.RECORDED), int(Report.TERMINATED)
 
 
@@ -62,13 +74,13 @@ class Run:
             run.step()
         recording = run.recording()
 
-    Without anything set, the recording is that of `Simulator.run`, to the last bit. The second run of an
-    error estimate takes what was set at the points that both have; a loop that the caller closes is none in
-    it.
+    If the caller sets nothing, the recording equals `Simulator.run`'s to the last bit. The second run of an
+    error estimate sets the caller's values at the points that both runs have; it does not close a loop that
+    the caller closes.
 
     failure: why the run cannot go on; empty if it can
     batch: steps of the next batch
-    written: what the caller set, if the error is to be estimated
+    written: the caller's values so far, if the error is to be estimated
     """
 
     # time [s] when a step of any run looks again, as the runs share the process
@@ -100,12 +112,14 @@ class Run:
         self._resources.callback(self._access.close)
         self._record = Record(wired.wiring.rows, wired.wiring.faults.history.T)
         self._unused: list[Snapshot] = []  # of saved states
-        self._report = wired.wiring.report.data  # quicker than the array
+        # a memoryview: indexing is faster than of the array
+        self._report = wired.wiring.report.data
         self._points: Any = wired.wiring.points.data
         self._last = len(wired.wiring.points) - 1
         self._changes = sorted(wired.prepared.changes)
         every_point = range(self._last + 1) if wired.prepared.experiment.tolerance else ()
-        self._special = every_point or {0, self._last, *self._changes}  # where more is due than a step
+        # the first and the last point, points with changes, or all of a run with a tolerance
+        self._special = every_point or {0, self._last, *self._changes}
         self._has_ended = False
         self._termination: dict[str, Any] = {}
         self._check_interrupt: Callable[[], None] = _let_interrupts_come
@@ -179,7 +193,9 @@ class Run:
             if point in self._special:
                 self._change_and_wait()
                 self._run_batch(point + 1)
-            else:  # the same, but quicker
+            else:
+                # the same without the overhead of a batch: agents and controllers in Python step point by
+                # point
                 if self._batch_start:
                     self._batch_start.take()
                 if self._loop.run(point, point + 1) == point:
@@ -247,7 +263,8 @@ class Run:
 
     def _finish(self) -> None:
         """Makes the changes of the last communication point and records it."""
-        if not self._is_terminated():  # an FMU that has ended accepts no change
+        # an FMU that has terminated accepts no change
+        if not self._is_terminated():
             self._change_and_wait()
         if not self.record_now():
             raise failure_error(self.wired)
@@ -256,7 +273,9 @@ class Run:
     def record_now(self) -> bool:
         """Records the present communication point too, for a run that ends here; False if it failed."""
         if self.is_terminated and self._report[_RECORDED] > self.point:
-            return True  # what components that cannot go back have computed since is of a later time
+            # components that cannot go back have stepped past this point: their present values are of a later
+            # time
+            return True
         return bool(self._loop.exchange_and_record(self.point))
 
     def _change_and_wait(self) -> None:
@@ -357,7 +376,7 @@ class Run:
         return self._access.writer(*names)
 
     def recording(self) -> Recording:
-        """Returns the values recorded until now, those of the present communication point included.
+        """Returns the values recorded until now, including the present communication point.
 
         An error estimate of anything new loads the FMUs a second time.
         """

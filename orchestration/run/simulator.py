@@ -19,8 +19,7 @@ from orchestration.run.error_estimate import StepwiseEstimate, with_error_estima
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, deferred_interrupt, new_report
 from orchestration.run.run import Progress, Run
-from orchestration.run.run_clock import Pacing, RunStatistics
-from orchestration.run.run_recording import reason_of
+from orchestration.run.run_recording import Pacing, RunStatistics, reason_of
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, PreparedRuns, check_for
@@ -78,7 +77,8 @@ class LoadedSystem:
         if not description.is_model_exchange:
             return loading.enter_context(FmuInstance(name, path, description))
         try:
-            from fmus.fmi.model_exchange import ModelExchangeInstance  # FMPy takes time to import
+            # imported here: FMPy takes time to import
+            from fmus.fmi.model_exchange import ModelExchangeInstance
         except (ImportError, OSError) as error:
             raise FmuLoadError(
                 f"{path} is for model exchange alone, for which CVode lacks: {error}"
@@ -101,10 +101,20 @@ class Simulator(LoadedSystem):
     """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
-    threads: number of threads that step the FMUs of a Jacobi run, with the same results; by default as many
-        as make `run` faster, if that is measured, and one for FMUs that may share memory. A run that the
-        caller steps has one thread
-    Raises FmuLoadError for a file that is no FMU.
+
+    Parameters
+    ----------
+    system : System
+        FMUs and their connections.
+    threads : int, optional
+        Number of threads that step the FMUs of a Jacobi run, with the same results. By default as many as
+        make `run` faster by measurement, and one for FMUs that may share memory. A run that the caller steps
+        has one thread.
+
+    Raises
+    ------
+    FmuLoadError
+        For a file that is no FMU.
     """
 
     _loop = staticmethod(compiled_loop)
@@ -132,27 +142,49 @@ class Simulator(LoadedSystem):
     ) -> Recording:
         """Runs an experiment, or one that is prepared for this system, and returns its recording.
 
-        progress: called some ten times a second with the communication points done, and all of the run; also
-            by the second run of an error estimate, of half as many points
-        real_time: simulated seconds in a second of the wall clock; without it, as fast as possible
-        checkpoints: where and how often to save the whole system
-        resume: a checkpoint of the same run, from which to continue
-        statistics: whether the provenance gets the wall time of each phase and of the steps of each FMU
+        Parameters
+        ----------
+        run : Experiment or PreparedRun
+            The experiment.
+        progress : callable, optional
+            Called some ten times a second with the communication points done, and all of the run; also by the
+            second run of an error estimate, which has half as many points.
+        real_time : float, optional
+            Simulated seconds in a second of the wall clock; by default as fast as possible.
+        checkpoints : Checkpoints, optional
+            Where and how often to save the whole system.
+        resume : Checkpoint, optional
+            A checkpoint of the same run, from which to continue.
+        storage : Storage, optional
+            Arrays of the loop that another process reads during the run.
+        statistics : bool
+            Whether the provenance gets the wall time of each phase and of the steps of each FMU.
 
-        Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
-        `recording` holds the values recorded until then.
+        Returns
+        -------
+        Recording
+            The recorded variables at the communication points.
+
+        Raises
+        ------
+        SystemDefinitionError, FmuLoadError
+            Before the run starts.
+        SimulationError
+            Afterwards; its `recording` holds the values until then.
         """
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
                 check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run))
             measured = RunStatistics(self._descriptions, statistics)
-            threads = self._threads if storage is None else 1  # who watches a call asks for one
+            # the watching process finds one busy component in the report: one thread steps
+            threads = self._threads if storage is None else 1
             begun = self._begin(run, (), storage, measured, threads=threads, pacing=pacing)
             begun.batch = self._first_batch
             _run_to_end(begun, progress, checkpoints, resume)
             recording = begun.recorded(is_final=storage is None)
-            self._first_batch = max(1, begun.batch // 2)  # the next run may be slower
+            # halved: the next run may be slower, and an interrupt waits for a batch
+            self._first_batch = max(1, begun.batch // 2)
             self._must_reload = False
         if not begun.prepared.experiment.error_estimate:
             return recording
@@ -161,11 +193,26 @@ class Simulator(LoadedSystem):
     def start(self, experiment: Experiment, external: Sequence[str] = ()) -> Run:
         """Initialises the system for an experiment, at its start time; the caller leads the run.
 
-        external: inputs that the caller sets between the steps, beginning with their value in
-        `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
+        Parameters
+        ----------
+        experiment : Experiment
+            The experiment.
+        external : sequence of str
+            Inputs that the caller sets between the steps. They begin with their value in `experiment.inputs`,
+            or the FMU's start value, are held over a step, and are recorded.
 
-        Raises what `run` raises; SystemDefinitionError for an error estimate, whose second run is made beside
-        this one, of an FMU that can be instantiated only once.
+        Returns
+        -------
+        Run
+            The run at its first communication point.
+
+        Raises
+        ------
+        SystemDefinitionError
+            Also for an error estimate with an FMU that can be instantiated only once: its second run is made
+            beside this one.
+        FmuLoadError, SimulationError
+            As `run` does.
         """
         with self._begin_run():
             estimate = None
@@ -194,7 +241,8 @@ class Simulator(LoadedSystem):
         """Ends the run before, which an FMU that crashes then cannot lose; refuses another one meanwhile."""
         with super()._begin_run():
             self._end_last_run()
-            with chdir(os.curdir):  # an FMU that leaves the folder would take relative paths with it
+            with chdir(os.curdir):
+                # restores the folder: after an FMU changes it, relative paths would lead elsewhere
                 yield
 
     def _end_last_run(self) -> None:
@@ -217,23 +265,27 @@ class Simulator(LoadedSystem):
         """
         statistics = statistics or RunStatistics((), is_asked_for=False)
         if isinstance(run, PreparedRun):
-            self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
+            # this run was prepared elsewhere: the next one is not compared with it
+            self._prepared_runs = PreparedRuns()
             prepared = run.copy()
         else:
             prepared = self._prepared_runs.prepare(self._check(run, external), run, external)
         earlier = self._wired if self._prepared_runs.only_values_differ else None
-        self._wired = None  # of another run, also if this one is never wired
+        # forgotten also if this run is never wired: it belongs to an earlier one
+        self._wired = None
         rows, report = (storage.rows, storage.report) if storage else (np.empty(prepared.shape), new_report())
         storage = Storage(rows, report, statistics.steps)
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._report = storage.report
-        for instance in self._instances.values():  # who resets is busy in this run
+        # a reset counts as a call of this run: a timeout watches it
+        for instance in self._instances.values():
             instance.busy, instance.after_call = storage.report[Report.BUSY :], guard.end_call
         with statistics.phase("loading"):
             self._load_or_reset()
-        self._must_reload = True  # should anything fail before the run is done
+        # stays set if anything fails before the run is done: the FMUs' state is then unknown
+        self._must_reload = True
         storage.report[Report.BUSY] = 0
         for instance in self._instances.values():
             instance.after_call = guard.end_call
@@ -285,5 +337,6 @@ def _run_to_end(
         raise SimulationError(reason_of(error) + saved, run.recorded()) from error
     except SimulationError:
         raise
-    except Exception as error:  # of a checkpoint
+    except Exception as error:
+        # a checkpoint that cannot be written or read
         raise run.failed(error) from error

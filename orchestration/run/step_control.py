@@ -17,9 +17,9 @@ import numpy as np
 
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuWarning, OrchestrationError
+from orchestration.run.access import Snapshot
 from orchestration.run.loop_data import Report
 from orchestration.run.run_recording import failure_error, step_unless_discarded
-from orchestration.run.saved_states import Snapshot
 from orchestration.run.tolerance import Tolerance, step_together_and_split
 from orchestration.run.wiring import WiredRun
 from orchestration.system.signals import Table
@@ -28,7 +28,8 @@ from orchestration.system.values import is_discrete
 _SHORTEST = 1e-9  # of a communication step
 _SAFETY, _LARGEST_REDUCTION, _LARGEST_GROWTH = 0.9, 0.2, 5.0  # the usual factors of step-size control
 _GROWTH_AFTER_DISCARD = 2.0
-_LEAST_ORDER = 0.5  # in which the error ratio falls with the step; of the exchange it is 1 or 2
+# The error ratio of an exchange falls with order 1 or 2; below it the FMUs' solvers may leave it.
+_LEAST_ORDER = 0.5
 
 
 class StepControl:
@@ -45,7 +46,8 @@ class StepControl:
         self._run, self._wiring, self._loop, self._batch_start = run, run.wiring, run.loop, batch_start
         experiment = run.prepared.experiment
         ports, indices = run.prepared.system.ports, run.wiring.signal_index.tolist()
-        self._signals = [  # others keep the value of the communication point
+        # a discrete input keeps the value of the communication point within the step
+        self._signals = [
             (index, signal)
             for index, (name, signal) in zip(indices, experiment.signals.items(), strict=True)
             if not is_discrete(ports[name])
@@ -105,7 +107,7 @@ class StepControl:
     def divide_step(self, check_interrupt: Callable[[], None]) -> float:
         """Steps from the present communication point to the next; returns the time reached [s].
 
-        It is earlier than that of the point if a component terminated the simulation.
+        The time is earlier than the next point's if a component terminated the simulation.
         """
         point = int(self._wiring.report[Report.POSITION])
         if not self._loop.exchange_and_record(point):
@@ -114,7 +116,8 @@ class StepControl:
         state = self.state
         try:
             return self._advance_from(point, check_interrupt)
-        except KeyboardInterrupt:  # between two communication points nothing can be saved
+        except KeyboardInterrupt:
+            # between two communication points no checkpoint can be saved
             self._batch_start.restore()
             self.state = state
             raise
@@ -134,7 +137,8 @@ class StepControl:
             if end > stop - self._shortest:
                 end = stop
             elif self.tolerance and stop - end < self.step_size:
-                end = time + 0.5 * (stop - time)  # two equal steps rather than a long and a short one
+                # two equal steps: a long and a short one would have a larger error
+                end = time + 0.5 * (stop - time)
             if self.tolerance:
                 following = np.searchsorted(self._jumps, time + self._shortest, "right")
                 jump = float(self._jumps[following]) if following < len(self._jumps) else end
@@ -207,7 +211,7 @@ class StepControl:
             self.tolerance.learn_solver_error(*(bus[self.tolerance.bus_index] for bus in outcome))
 
     def _note_accepted(self, start: float, size: float, ratios: np.ndarray) -> None:
-        """Adds up the errors of a step; notes and warns where only those of solvers permit them."""
+        """Adds up the errors of a step; notes and warns where only the solvers' own errors permit them."""
         assert self.tolerance
         is_of_solvers = (
             ratios > 1.0
@@ -286,7 +290,7 @@ class StepControl:
 
 
 def termination_within_step(run: WiredRun) -> float:
-    """Returns the time [s] at which the component that discarded its step terminates the simulation.
+    """Returns the time [s] when the component that discarded its step terminates the simulation.
 
     It is within the step that was discarded, or the start of it. Raises OrchestrationError for a component
     that does not terminate the simulation.

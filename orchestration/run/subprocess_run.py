@@ -36,8 +36,10 @@ from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.system import System
 
 _LOOK_S = 0.1
-_LOADING_S = 60.0  # for an FMU to be loaded, at least: it may start an interpreter, or look for a license
-_AGAIN_S = 1.0  # an interrupt that soon after another is the same one, passed on by a shell for instance
+# At least, for an FMU to be loaded: it may start an interpreter, or look for a license.
+_LOADING_S = 60.0
+# An interrupt so soon after another is the same one, passed on by a shell for instance.
+_AGAIN_S = 1.0
 _NOT_BEGUN = -1
 _STOP = "stop"  # the message that asks the run to stop, as an interrupt does
 
@@ -60,6 +62,7 @@ def simulate_in_subprocess(
     if not timeout > 0.0:
         raise SystemDefinitionError(f"timeout {timeout!r} s: expected more than 0")
     experiment = prepared.experiment
+    # the second run of an error estimate gets another process, below
     alone = replace(prepared, experiment=replace(experiment, error_estimate=False))
     task = _packed_task(system, alone, dict(options or {}))
     with (
@@ -73,7 +76,8 @@ def simulate_in_subprocess(
         process.kill()
         outcome = _failure(problem, prepared, record) if watch.outcome is None else watch.outcome
         if problem and watch.outcome is not None:
-            who = _busy(prepared, record).replace("the run", "an FMU")  # in none of its functions
+            # after the run no call is in progress: the process ended outside of the FMUs' functions
+            who = _busy(prepared, record).replace("the run", "an FMU")
             text = f"{who} after the run: {problem}; the recording is not affected"
             watch.warnings.append(Warned(text, FmuWarning, __file__, 0))
     outcome, stopped = _with_warnings(watch.warnings, outcome), watch.stopped
@@ -146,7 +150,9 @@ def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: 
 class _Watch:
     """Receives the messages of a process until its FMUs are freed, its end, or the end of its time.
 
-    outcome: None without one; warnings: those of the FMUs; stopped: what stopped the run from here
+    outcome: the recording or the error, None before it arrives
+    warnings: the FMUs' warnings
+    stopped: the interrupt, or the error of the progress, that stopped the run from this process
     """
 
     def __init__(
@@ -217,7 +223,7 @@ class _Watch:
 
 
 def _call_progress(progress: Progress | None, done: int, last: int) -> BaseException | None:
-    """Calls the progress; what it raises stops the run."""
+    """Calls the progress; returns its exception, which stops the run."""
     try:
         if progress:
             progress(done, last)
@@ -257,7 +263,7 @@ def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
 
 
 def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
-    """Returns the recording, or raises why there is none of the whole run."""
+    """Returns the recording of the whole run, or raises the reason why it is missing."""
     recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
     if recording is not None and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
         outcome = SimulationError(reason_of(stopped), recording)
@@ -277,7 +283,8 @@ def run_task(parent: Parent) -> None:
     with kept_interrupts(), contextlib.ExitStack() as fmus:
         try:
             outcome: Outcome = _run(parent, Path(tempfile.gettempdir()), fmus)
-        except BaseException as error:  # whatever it is, it is for the other process
+        except BaseException as error:
+            # any error, also SystemExit, is an outcome for the other process
             error.add_note("".join(traceback.format_exception(error)))
             outcome = error
         parent.send(outcome, _packed_outcome)
@@ -302,7 +309,8 @@ def _run(parent: Parent, folder: Path, fmus: contextlib.ExitStack) -> Recording:
     threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()
     storage = SharedRecord(folder, prepared.shape, is_new=False).storage
     storage.report[Report.RECORDED] = 0
-    fmus.enter_context(warnings.catch_warnings())  # also of those that `fmus` frees
+    # before the FMUs are loaded: warnings while `fmus` frees them are sent too
+    fmus.enter_context(warnings.catch_warnings())
     warnings.simplefilter("always")
     warnings.showwarning = lambda message, category, filename, lineno, *_: parent.send(
         Warned(str(message), category, filename, lineno), cloudpickle.dumps
@@ -316,6 +324,7 @@ def _packed_outcome(outcome: object) -> bytes:
     try:
         content = cloudpickle.dumps(outcome)
         pickle.loads(content)
-    except Exception:  # of an error that does not travel: what it says does
+    except Exception:
+        # an error that cannot be pickled: its text can
         return pickle.dumps(OrchestrationError(f"{type(outcome).__name__}: {outcome}"))
     return content

@@ -1,8 +1,8 @@
 """The permitted error of a step, and errors of the FMUs' own solvers, which no shorter step takes away.
 
 A step in two halves without an exchange between them shows these. An FMU that computes exactly, or with fixed
-steps that fit, reaches the same state as in one step. One whose solver starts anew in every step, with a
-tolerance of its own, does not.
+steps that fit, reaches the same state as in one step. An FMU whose solver starts anew in every step,
+with its own tolerance, does not.
 """
 
 from dataclasses import replace
@@ -10,14 +10,17 @@ from dataclasses import replace
 import numpy as np
 
 from fmus.fmi.description import of_causality
+from orchestration.run.access import Snapshot
 from orchestration.run.loop_data import Call, InputMode
 from orchestration.run.run_recording import step_unless_discarded
-from orchestration.run.saved_states import Snapshot
 from orchestration.run.wiring import WiredRun
 from orchestration.system.system import CheckedSystem, Port
 
-_OF_TWO_RESULTS = 2.0  # two steps that are compared have an error of the solver each
-_KEPT = 0.5  # of the solvers' errors, from one communication point to the next: they change with the state
+# Each of the two steps that are compared has an error of the solver.
+_OF_TWO_RESULTS = 2.0
+# Share of the solvers' errors that is kept from one communication point to the next: they change with the
+# state.
+_KEPT = 0.5
 
 
 class Tolerance:
@@ -26,7 +29,7 @@ class Tolerance:
     order: of the exchange in the step size
     names, bus_index: of the outputs, (m,)
     adds_up: whether the errors of an output add up from step to step, (m,)
-    solver_error: what a step that is split leaves in the outputs, though nothing is exchanged in it, (m,)
+    solver_error: change of the outputs if a step is split, though nothing is exchanged in it, (m,)
     """
 
     def __init__(self, run: WiredRun) -> None:
@@ -60,7 +63,8 @@ class Tolerance:
     def beyond_solvers(self, ratios: np.ndarray, fine: np.ndarray, size: float) -> np.ndarray:
         """Returns `error_ratios` where the solvers' own errors are permitted too."""
         permitted, of_solvers = self._permitted(fine, size), _OF_TWO_RESULTS * self.solver_error
-        is_below = of_solvers > permitted  # False where the value is not finite
+        # False where the value is not finite: such an error is not a solver's
+        is_below = of_solvers > permitted
         return np.where(is_below, ratios * permitted / np.where(is_below, of_solvers, 1.0), ratios)
 
     def is_below_solvers(self, fine: np.ndarray, size: float) -> bool:

@@ -168,6 +168,7 @@ def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarra
     """Returns all that a step changes as one array, and its parts by name; count: of components."""
     n, n_connections, n_integers = len(bus.index), len(bus.connections), bus.integer_count
     sizes = dict.fromkeys(CHANGING_OF_CONNECTIONS, n_connections)
+    # two integers of 32 bits stand in the place of one number of 64
     sizes |= {"bus": n, "slopes": n, "step_start": count, "warning": count, "integers": -(-n_integers // 2)}
     memory = np.empty(sum(sizes.values()))
     parts: dict[str, np.ndarray] = dict(
@@ -232,6 +233,7 @@ def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.n
         indices.append((*ends, numbers.get(owner, -1), faults.get(target, -1), mode))
         periods = prepared.periods[own] / prepared.periods.get(owner, 1)
         transformation = prepared.system.transformations.get(target, _UNCHANGED)
+        # x + -0.0 has the bits of x, also for x = -0.0
         change = transformation.factor, transformation.offset or -0.0
         limits.append((*prepared.input_ranges[target], validity * periods, *change))
     return Connections(

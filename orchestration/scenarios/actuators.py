@@ -1,7 +1,7 @@
-"""The actuators of a vehicle: what they take, and the force that they give.
+"""The actuators of a vehicle: their inputs, ranges and force.
 
-Everything takes them from here: a scenario tells them to controllers as parameters, the score computes the
-force by them, margins and design start from them.
+All other code uses this one description: a scenario gives it to controllers as parameters, the score computes
+the force by it, margins and design start from it.
 """
 
 import math
@@ -12,7 +12,8 @@ import numpy as np
 VOLTAGES, FORCE = ("voltage[1]", "voltage[2]"), "control_force"
 """Inputs by which a vehicle is moved: two voltages, or one force."""
 
-_AT_LIMIT = 1.0 - 1e-12  # of a limit: an allocation that inverts a force may round below it
+# Of a limit: an allocation that inverts a force may round to slightly below it.
+_AT_LIMIT = 1.0 - 1e-12
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ class Actuators:
         """Returns the parameters of a controller that follow, by the names of the depth control interface.
 
         voltage_limit: its own [V]; there two thrusters give the largest force of a vehicle without voltages
-        One thruster is told as two of half its gain.
-        points: of its table; with none it has no table, and takes the thrusters for lines
+        points: of its table; 0 for a controller without a table, which takes a line for each thruster
+        One thruster becomes two of half its gain.
         """
         values: dict[str, float] = {"voltage_limit": self.limit} if self.in_volts else {}
         if self.table and points:
@@ -103,7 +104,8 @@ class Actuators:
             values |= {"thruster_tabulated": True}
         else:
             arrays = {"gain": self.lines if self.in_volts else (self.largest_force / voltage_limit,)}
-        if len(self.inputs) == 1:  # a controller gives each of two thrusters half of its force
+        # the controllers have two thrusters, and give each half of the force
+        if len(self.inputs) == 1:
             arrays |= {name: (0.5 * arrays[name][0],) * 2 for name in ("gain", "scale") if name in arrays}
         values |= {f"thruster_{n}[{i}]": x for n, xs in arrays.items() for i, x in enumerate(xs, 1)}
         values |= {"force_limit": self.largest_force}

@@ -13,11 +13,15 @@ from fmus.errors import nearest
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.components import Describe
 from orchestration.scenarios.declarations import with_file_paths
-from orchestration.scenarios.interface import components_between
-from orchestration.scenarios.layers import Data, Layer, components_of
-from orchestration.scenarios.read_layers import components_and_names, with_parameter_files
+from orchestration.scenarios.interface import Describe, components_between
+from orchestration.scenarios.layers import (
+    Data,
+    Layer,
+    components_and_names,
+    components_of,
+    with_parameter_files,
+)
 from orchestration.system.experiment import Experiment
 from orchestration.system.quantities import StatedValue, read_value, stated
 from orchestration.system.signals import Constant
@@ -59,7 +63,7 @@ def _command_entries(
 def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer], describe: Describe) -> Data:
     """Returns the tables of a scenario file that the values of variables stand in.
 
-    layers: the last is that of a command (`given_layers`)
+    layers: the last is the command's (`given_layers`)
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
     below, tables = components_of(layers[:-1]), Data()
@@ -91,14 +95,15 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
             raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
         port = Port(component, settable[variable])
         if isinstance(given, StatedValue):
-            fmi_value(port, given)  # which refuses a wrong one
+            # refuses a wrong value, with its place
+            fmi_value(port, given)
             given = read_value(given, port.variable)
         tables.setdefault(f"{port.variable.causality}s", {})[port.name] = given
     return tables
 
 
 def other_fmu(name: str, fmu: str) -> str:
-    """Returns the message about a parameter of a file that is for another FMU than that of the component."""
+    """Returns the message about a parameter of a file that was written for another FMU."""
     component = name.partition(".")[0]
     option = f"--{component} " if component in ("controller", "plant") else f"--set {component}="
     return (
@@ -128,7 +133,7 @@ def tables_of_values(values: Mapping[str, Value], experiment: Experiment) -> Dat
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
-    """Returns the experiment with other values; what has none stays the same object."""
+    """Returns the experiment with other values; unchanged members stay the same objects."""
     tables = tables_of_values(values, experiment)
     changed = tables.pop("experiment", {})
     if "signals" in tables:

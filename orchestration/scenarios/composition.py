@@ -8,8 +8,7 @@ from pathlib import Path
 
 from fmus.fmi.description import start_value
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.components import Describe
-from orchestration.scenarios.interface import Interface
+from orchestration.scenarios.interface import Describe, Interface
 from orchestration.scenarios.layers import Data, Layer, laid_over, names_in
 from orchestration.scenarios.replaced import Replacement, renamed
 from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file

@@ -1,7 +1,7 @@
 """Columns of numbers in a CSV file as other programs write it.
 
 Delimiters are commas, semicolons, tabs or bars. Numbers may have decimal commas if no comma separates cells.
-Times may be those of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
+Times may be dates of ISO 8601, as 2026-05-04T12:00:00.25. A first line of titles may have units, "depth [m]".
 All rows have as many cells. Empty lines and lines that begin with # are left out, but where numbers come
 first, the last of these above them that has as many cells, and units if any has, holds the titles.
 """
@@ -24,7 +24,7 @@ from orchestration.system.quantities import Conversion, conversion
 
 _DELIMITERS = "\t;|"
 _ABSENT = ("", "-", "na", "n/a", "nan", "null", "none")
-# with its unit: "u [cm]", "u(cm)" or "[cm]", but for an index as of "u[1,2]" and for "der(x)"
+# with its unit: "u [cm]", "u(cm)" or "[cm]", except an index such as "u[1,2]", and "der(x)"
 _TITLE = re.compile(
     r"(.*?)(?:\s*/)?(?:\s+[\[(]|(?:\[|(?<!\bder)\()(?![\d,\s]*[\])]))([^\[\]()]*)[\])]", re.DOTALL
 )
@@ -69,7 +69,7 @@ class DataFile:
             raise ScenarioError(f"{self.start}: {self.titles[index]}: {error}") from None
 
     def numbers(self, *indices: int, gaps: bool = False, names: Mapping[str, float] = {}) -> np.ndarray:
-        """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after that of the first row.
+        """Returns columns, shape (rows, columns); a time of ISO 8601 as seconds after the first row's.
 
         gaps: whether a cell may be empty, or say that there is no number, which gives NaN
         names: text that stands for a number -> the number
@@ -101,7 +101,8 @@ class DataFile:
 
     def times(self, index: int = 0) -> np.ndarray:
         """Returns a column of times [s]; ScenarioError for one earlier than that before, with its line."""
-        numbers = self.numbers(index)[:, 0]  # first: the unit of dates is refused as such
+        # before the conversion: dates with a unit are refused as dates, not as another dimension
+        numbers = self.numbers(index)[:, 0]
         times = self.conversion(index, "s")(numbers)
         for i in np.flatnonzero(np.diff(times) < 0.0)[:1].tolist():
             raise ScenarioError(
@@ -124,7 +125,7 @@ def read_data_file(path: Path) -> DataFile:
         if any("\0" in line for _, line in numbered):
             raise ValueError("UTF-16 or no text; save it as UTF-8")
         lines = [(number, line) for number, line in numbered if _holds_data(line)]
-        # a comma is the delimiter only where no other is: it may be that of decimals
+        # a comma is the delimiter only where no other is found: it may be the decimal sign
         delimiter = next((one for one in _DELIMITERS if lines and one in lines[0][1]), ",")
         if lines and _FIRST_NUMBER.match(lines[0][1]):
             above = [(n, line.lstrip("# \t")) for n, line in numbered[: lines[0][0] - 1] if line[0] == "#"]
@@ -135,7 +136,8 @@ def read_data_file(path: Path) -> DataFile:
         cells = csv.reader((line for _, line in lines), delimiter=delimiter, strict=True)
         rows = tuple((number, row) for (number, _), row in zip(lines, cells, strict=True))
     except (OSError, csv.Error, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error  # without the number of an error of the system
+        # `strerror` leaves out the number of a system's error
+        reason = getattr(error, "strerror", None) or error
         raise ScenarioError(f"{path}: expected a CSV file, got {reason}") from error
     begin, first = rows[0] if rows else (1, [])
     start = f"{path}:{begin}"
@@ -156,7 +158,7 @@ def read_data_file(path: Path) -> DataFile:
 
 
 def _holds_data(line: str) -> bool:
-    """Whether a line is not empty, no comment, and not that by which Excel is told the delimiter."""
+    """Whether a line is not empty, no comment, and not Excel's line that names the delimiter."""
     return bool(line.strip()) and not line.lower().startswith(("#", "sep="))
 
 
@@ -175,7 +177,8 @@ def _number(text: str, gaps: bool, delimiter: str) -> float | datetime | None:
     if delimiter != "," and text.count(",") == 1 and "." not in text:
         text = text.replace(",", ".")
     with suppress(ValueError):
-        if "_" not in text:  # with which Python groups digits
+        # float() accepts the underscores by which Python groups digits
+        if "_" not in text:
             return float(text)
     with suppress(ValueError):
         time = datetime.fromisoformat(text)

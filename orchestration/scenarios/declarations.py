@@ -34,7 +34,8 @@ def signal(declaration: object, where: str) -> Signal:
     Raises ScenarioError, which begins with `where`.
     """
     arguments = checked(_SIGNAL_TABLE, declaration, where).given()
-    arguments.pop("unit", None)  # of a variable that is not known
+    # the variable is not known here: `as_input_takes` converts units
+    arguments.pop("unit", None)
     try:
         return KINDS[arguments.pop("kind")](**arguments)
     except ScenarioError as error:
@@ -78,7 +79,8 @@ def as_input_takes(
     names: Mapping[Any, float] = {}
     table = {key: value for key, value in declared.items() if key not in ("file", "column", "unit")}
     unit, own, places = declared.get("unit", ""), None, ()
-    with suppress(FmuLoadError):  # without its FMU, the input is checked when it runs
+    with suppress(FmuLoadError):
+        # an input whose FMU is not built yet is checked when it runs
         if own := port(name):
             names = {"false": 0, "true": 1} if own.variable.type == "Boolean" else items(own)
             table |= {"hold": True} if is_discrete(own) else {}

@@ -44,7 +44,8 @@ Source = Annotated[
     | Annotated[SourceTable, Tag("table")],
     Discriminator(lambda value: _KINDS.get(type(value), "text")),
 ]
-_OPTIONAL: Any = Field(default=None)  # Experiment has the default
+# `Experiment` has the default: it is stated once
+_OPTIONAL: Any = Field(default=None)
 
 # a file whose values stand for times and values, and their unit
 _CSV: Any = {"file": (str, ""), "column": (str, ""), "unit": (str, "")}
@@ -116,7 +117,7 @@ class EventTable(Table):
 
 
 class ComponentTable(Table):
-    """An FMU in the place of that of a base, whose variables may have other names."""
+    """An FMU in the place of a base's FMU, whose variables may have other names."""
 
     fmu: str = ""
     """As without a table; by default that of the base."""

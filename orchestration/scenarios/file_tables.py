@@ -127,7 +127,8 @@ def _default(value: Any) -> Any:
     if value is inspect.Parameter.empty:
         return ...
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return Field(default_factory=lambda: value)  # which a schema cannot say
+        # JSON has neither INF nor NaN: the schema states no default
+        return Field(default_factory=lambda: value)
     return value
 
 
@@ -156,7 +157,8 @@ class OneOf:
     ) -> dict[str, Any]:
         tables = [*(make() for make in self._tables.values()), *self._keyless.values()]
         members = [*tables, *([Literal[False]] if self._droppable else [])]
-        one_of: Any = Union  # of members that are known here alone
+        # Any: a type checker cannot evaluate a Union of members that are known at run time
+        one_of: Any = Union
         return {"oneOf": handler(TypeAdapter(one_of[tuple(members)]).core_schema)["anyOf"]}
 
     def _validated(self, value: Any) -> Table | Literal[False]:
@@ -178,7 +180,7 @@ At = Callable[[KeyPath], str]
 
 
 def checked(model: TypeAdapter[T], data: object, where: At | str) -> T:
-    """Returns the data as that type; ScenarioError names the key, what it is and what was expected."""
+    """Returns the data as that type; ScenarioError names the key, its value and the expected one."""
     try:
         return model.validate_python(data)
     except ValidationError as error:
@@ -246,7 +248,7 @@ def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]
 
 
 def _keys(error: ErrorDetails, data: Any) -> KeyPath:
-    """Returns the keys at which an error is in a file; the kinds of unions are no part of it."""
+    """Returns the keys that lead to an error in a file, without the kinds of unions."""
     keys: KeyPath = ()
     missing = error["type"] == "missing"
     for part in error["loc"][:-1] if missing else error["loc"]:

@@ -18,7 +18,7 @@ from orchestration.scenarios.layers import Layer, components_of
 
 
 def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """Returns the file of an FMU: an .fmu as it is, or where that of a block is found.
+    """Returns the file of an FMU: an .fmu as it is, or the place of a block's FMU.
 
     The FMU of a Python file's only block, or of a class, my.py:Policy, is made if it is missing or stale;
     ExportError if it cannot be.
@@ -33,7 +33,8 @@ def fmu_file(fmu: str, flavour: Flavour = Flavour.NATIVE) -> Path:
 
     if current := builds.BuildCache().current(builds.order_of_file(Path(fmu), flavour), to_run=True):
         return current[0]
-    from fmus.generate import builder  # which loads CasADi
+    # imported here: it loads CasADi
+    from fmus.generate import builder
 
     return builder.fmu_of_file(Path(fmu), flavour)
 
@@ -49,7 +50,7 @@ def build_missing(fmus: Iterable[Path]) -> None:
 
 
 def files_of(layers: Sequence[Layer], flavour: Flavour = Flavour.NATIVE) -> dict[str, Path]:
-    """Returns FMU as the layers name it -> its file; those of Python files and classes are made."""
+    """Returns FMU as the layers name it -> its file; makes the FMUs of Python files and classes."""
     files: dict[str, Path] = {}
     for component, fmu in components_of(layers).items():
         layer = [one for one in layers if component in one.data.get("components", {})][-1]
@@ -68,9 +69,9 @@ def _from_here(fmu: str) -> str:
 
 
 def made_file(fmu: str, flavour: Flavour, files: Mapping[str, Path]) -> Path:
-    """Returns the file of an FMU; of a Python file or a class one of those that were made.
+    """Returns the file of an FMU; for a Python file or a class, the one that was made before.
 
-    Raises FmuLoadError for one that was not.
+    Raises FmuLoadError if it was not made.
     """
     if fmu not in files and (fmu.endswith(".py") or ".py:" in fmu):
         raise FmuLoadError(f"{fmu}: its FMU was not made: l1-depth build {fmu} makes one")
@@ -86,7 +87,8 @@ def variables_of(fmu: str, file: Path) -> Mapping[str, ScalarVariable]:
 
 @cache
 def _declared(block: str) -> Mapping[str, ScalarVariable]:
-    from fmus.generate.describe import model_description  # which loads CasADi
+    # imported here: it loads CasADi
+    from fmus.generate.describe import model_description
 
     text = model_description(load_block(installed(BLOCKS)[block], "block"), block, {}, {})
     description = description_of(ElementTree.fromstring(text))

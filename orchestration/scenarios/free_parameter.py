@@ -10,15 +10,17 @@ from orchestration.errors import OrchestrationError
 from orchestration.system.system import Port
 from orchestration.system.values import value_range
 
-_DIGITS = 4  # of a value that is rounded: what is written is what was run
-_AT_A_LIMIT = 0.01  # of the range: a value this near to its end was stopped by it
+# Digits of a value. It is rounded before the run, so that the written value is the one that was run.
+_DIGITS = 4
+# Of the range: a value this near to its end was stopped by it.
+_AT_A_LIMIT = 0.01
 
 
 @dataclass(frozen=True)
 class FreeParameter:
     """A free parameter: the limits of its search and the value that it begins at, in its unit.
 
-    variables: those of the FMU that have its value
+    variables: of the FMU that have its value
     """
 
     name: str
@@ -92,7 +94,8 @@ def parse(texts: Sequence[str], option: str = "--free") -> list[FreeParameter]:
 
 
 def _parsed(part: str, option: str) -> FreeParameter:
-    name, equals, limits = part.rpartition("=")  # the name of a variable may have one, too
+    # the last "=": the name of a variable may contain one
+    name, equals, limits = part.rpartition("=")
     if not equals:
         return FreeParameter(part)
     low, _, high = limits.partition(":")

@@ -1,4 +1,4 @@
-"""The table [interface] of a base: data by which components are joined.
+"""The components of a scenario, and the table [interface] of a base, by which they are joined.
 
 [interface]
 required = [["plant.depth"], ["plant.voltage[1]", "plant.control_force"]]  # of each list, one has to be there
@@ -11,22 +11,125 @@ between = { allocation = "ThrustAllocation" }                           # is the
 "controller.roll" = [0.0]
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from fmus.errors import nearest
 from fmus.fmi.description import start_value
+from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.scenarios.components import Component, Describe, components
 from orchestration.scenarios.layers import Data, Layer, driven_inputs, names_in
+from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
+Describe = Callable[[str], Mapping[str, ScalarVariable]]
+"""Block, or path of an FMU -> its variables by name."""
+
+
+@dataclass(frozen=True)
+class Component:
+    """A component with its last FMU.
+
+    fmu: "" if it is removed; layer: index of the one that gives it this FMU
+    former: FMUs in the layers below, the lowest first; empty if no layer replaces one
+    given_names: index of a layer -> the names that it gives: name below it -> variable of the FMU, ""
+    for one that the FMU lacks
+    """
+
+    name: str
+    fmu: str
+    layer: int
+    former: tuple[str, ...]
+    describe: Describe = field(repr=False)
+    given_names: Mapping[int, Mapping[str, str]] = field(default_factory=dict)
+
+    @cached_property
+    def variables(self) -> Mapping[str, ScalarVariable]:
+        """The variables of its FMU; FmuLoadError if it cannot be described."""
+        return self.describe(self.fmu) if self.fmu else {}
+
+    @cached_property
+    def names(self) -> dict[str, str]:
+        """The names by all layers, from the FMU's own layer upwards."""
+        return {name: own for names in self.given_names.values() for name, own in names.items()}
+
+    @cached_property
+    def former_names(self) -> frozenset[str]:
+        """The variables of the FMUs that this one replaces."""
+        return frozenset(name for fmu in self.former if fmu for name in self.describe(fmu))
+
+    def port(self, variable: str) -> Port | None:
+        """Returns the port of a variable, by the FMU's name, None if the FMU lacks it."""
+        own = self.variables.get(variable)
+        return own and Port(self.name, own)
+
+    def has_part(self, variable: str, part: str, value: Any = None) -> bool:
+        """Whether the FMU's variable can have a part in a scenario, and takes the value if one is given.
+
+        part: "input" or "output"; "start" of what has a start value, "setting" of what can be set, "change"
+        of what can be set during a run; "signal" of any variable
+        """
+        port = self.port(variable)
+        if port is None:
+            return False
+        own = port.variable
+        is_settable = own.causality in ("parameter", "input")
+        parts = {
+            "start": has_start_value(own),
+            "setting": is_settable,
+            "change": is_settable and own.variability != "fixed",
+            "signal": True,
+        }
+        with suppress(SystemDefinitionError):
+            has_part = parts.get(part, own.causality == part)
+            return has_part and (value is None or value is False or fmi_value(port, value) is not None)
+        return False
+
+    def check_names(self, names: Mapping[str, str], below: Collection[str]) -> None:
+        """Refuses names that nothing uses, and variables that the FMU lacks.
+
+        below: names in the layers below and in the interface
+        """
+        for name, own in names.items():
+            keys = ("components", self.name, "names", name)
+            if f"{self.name}.{name}" not in below and name not in self.former_names:
+                known = sorted(one for one in below if one.startswith(f"{self.name}."))
+                hint = nearest(f"{self.name}.{name}", known)
+                message = f"names of {self.name}: nothing names {self.name}.{name}; {hint}"
+                raise ScenarioError(message, keys, keys[:-1])
+            if own and own not in self.variables:
+                hint = nearest(own, self.variables)
+                message = f"names of {self.name}: {self.name} has no variable {own!r}; {hint}"
+                raise ScenarioError(message, keys, keys[:-1])
+
+
+def components(layers: Sequence[Layer], describe: Describe) -> dict[str, Component]:
+    """Returns the components by name, as the uppermost layer has them; FMUs are described when asked for."""
+    fmus: dict[str, list[tuple[int, str]]] = {}
+    for index, layer in enumerate(layers):
+        for name, fmu in layer.data.get("components", {}).items():
+            given = fmus.setdefault(name, [])
+            if not given or given[-1][1] != (fmu or ""):
+                given.append((index, fmu or ""))
+    named = {name for layer in layers for name in layer.data.get("names", {})}
+    for name in named - fmus.keys():
+        message = f"names of {name}: no component {name!r}; {nearest(name, fmus)}"
+        raise ScenarioError(message, ("components", name))
+    result: dict[str, Component] = {}
+    for name, given in fmus.items():
+        layer, fmu = given[-1]
+        names = {i: x.data["names"][name] for i, x in enumerate(layers) if name in x.data.get("names", {})}
+        names = {i: one for i, one in names.items() if i >= layer}
+        result[name] = Component(name, fmu, layer, tuple(old for _, old in given[:-1]), describe, names)
+    return result
+
 
 def components_between(layers: Sequence[Layer]) -> dict[str, str]:
-    """Returns the components that may stand between those of the layers -> their blocks."""
+    """Returns the components that may stand between the layers' components -> their blocks."""
     tables = (layer.data.get("interface", {}).get("between", {}) for layer in layers)
     return {name: fmu for table in tables for name, fmu in table.items()}
 
@@ -145,18 +248,19 @@ class Interface:
         varied = data.get("sweep", {}).get("vary", {}).get(port.name)
         values = varied.get("values", []) if isinstance(varied, dict) else []
         values = [data.get("parameters", {}).get(port.name, start_value(port.variable)), *values]
-        with suppress(SystemDefinitionError):  # of a wrong value, which is refused later
+        with suppress(SystemDefinitionError):
+            # a wrong value is refused later, with its line
             return all(fmi_value(port, one) == fmi_value(port, value) for one in values)
         return False
 
     def port(self, name: str) -> Port | None:
-        """Returns the port of "component.variable", by the name of its FMU, None if there is none."""
+        """Returns the port of "component.variable", by the name of its FMU, or None."""
         component, _, variable = name.partition(".")
         own = self.present.get(component)
         return own and own.port(variable)
 
     def has(self, name: str, part: str = "signal") -> bool:
-        """Whether a component has a variable that can have a part, as of `Component.has_part`."""
+        """Whether a component has a variable that can have a part: see `Component.has_part`."""
         component, _, own = self._own(name).partition(".")
         return component in self.present and self.present[component].has_part(own, part)
 

@@ -189,14 +189,15 @@ def _finish_depth(panel: Axes, curves: Sequence[DrawnRun]) -> None:
         colour, settled = curve.line["color"], curve.measured[_SETTLING]
         panel.axvline(curve.published(_SETTLING), color=colour, linewidth=0.8, linestyle=":")
         panel.plot(settled, _TARGET - _BAND, "o", color=colour, markersize=size, fillstyle="none", zorder=3)
-    panel.set_ylim(1.02, -0.05)  # depth points down
+    # the upper end first: depth points down
+    panel.set_ylim(1.02, -0.05)
     panel.set_ylabel("Depth $z$ [m]")
     panel.legend(loc="upper right", ncols=2)
     _compare(panel, "Settling time", _SETTLING, ".1f", "s", curves)
 
 
 def _finish_thrust(panel: Axes, curves: Sequence[DrawnRun]) -> None:
-    """Draws the published holding thrust, and the oscillation at the surface in a window of its own."""
+    """Draws the published holding thrust, and the oscillation at the surface in an inset."""
     inset = panel.inset_axes((0.16, 0.29, 0.45, 0.36))
     for curve in curves:
         panel.axhline(curve.published(_HOLDING), color=curve.line["color"], linewidth=0.8, linestyle=":")
@@ -215,7 +216,8 @@ def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves
     rows = []
     for curve in curves:
         value = curve.measured[metric]
-        text = shown(value, {"function": metric}, digits)  # each has the name of its function
+        # metrics of the paper are named like their functions
+        text = shown(value, {"function": metric}, digits)
         result = text if math.isnan(value) else f"{text} {unit}"
         rows.append(f"{curve.label} {result} ({curve.published(metric):g} {unit})")
     _note(panel, f"{name}, run (paper): {'; '.join(rows)}")

@@ -1,4 +1,4 @@
-"""Another FMU in the place of a component of a scenario: what it inherits, and what is left out.
+"""Another FMU in the place of a component of a scenario: the entries that it inherits, and the others.
 
 Entries of the layers below that name a variable of the replaced component stay if the new FMU has a variable
 of that name which can take their part; the others are left out. Entries of the layer that replaces the
@@ -17,8 +17,7 @@ from fmus.errors import listed
 from fmus.fmi.description import start_value
 from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.results.metrics import SIGNALS
-from orchestration.scenarios.components import Component
-from orchestration.scenarios.interface import Interface
+from orchestration.scenarios.interface import Component, Interface
 from orchestration.scenarios.layers import Data, driven_inputs, with_events
 from orchestration.system.quantities import StatedValue
 from orchestration.system.values import fmi_value
@@ -43,7 +42,7 @@ _WITH_VALUES = ("parameters", "inputs", "events")
 class Replacement:
     """An FMU in the place of another.
 
-    own: what the interface's own layer names, so that another FMU may lack it
+    own: names in the interface's own layer, which another FMU may lack
     identified: parameters that a file has, chosen for another FMU
     left_out: (variable that an entry lacks, input that the entry drives or "")
     changing: variables of them that would change during the run
@@ -147,7 +146,10 @@ class Replacement:
         self._check_taken(data["parameters"], state)
 
     def _may_lack(self, variable: str, needed: Collection[str]) -> bool:
-        """Whether entries of a variable are left out without a word; needed: what the FMU should have."""
+        """Whether entries of a variable are left out without a warning.
+
+        needed: variables that the FMU should have
+        """
         name = f"{self.component.name}.{variable}"
         marked = self.interface.optional.get(name, -1)
         if self.component.names.get(variable) == "" or marked > self.interface.layer:

@@ -20,7 +20,7 @@ from orchestration.results.files import reserved
 from orchestration.results.formats import FigureFormat, RecordingFormat
 from orchestration.results.metric_units import MetricDocument, metric_units, with_units
 from orchestration.results.recording import Recording
-from orchestration.run.one_run import simulate_prepared
+from orchestration.run import simulate_prepared
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import CASES, summary
 from orchestration.scenarios.scenario import Scenario

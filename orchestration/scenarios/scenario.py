@@ -18,24 +18,22 @@ from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning, about
 from orchestration.results import metrics
 from orchestration.scenarios.changes import given_layers, other_fmu, values_of_settings
-from orchestration.scenarios.components import Describe
 from orchestration.scenarios.composition import compose, with_actuators
 from orchestration.scenarios.declarations import as_input_takes, fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
 from orchestration.scenarios.fmu_files import files_of, made_file, variables_of
+from orchestration.scenarios.interface import Describe
 from orchestration.scenarios.layers import (
+    FILE,
+    SHIPPED,
     TABLES,
     Data,
     Layer,
-    with_faulted_constants,
-)
-from orchestration.scenarios.read_layers import (
-    FILE,
-    SHIPPED,
     file_layers,
     find,
     shipped,
+    with_faulted_constants,
 )
 from orchestration.scenarios.toml_file import TomlFile, placed
 from orchestration.system.experiment import Event, Experiment
@@ -94,7 +92,7 @@ def load(
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
     made: Python file or class -> its FMU
-    Warns (ScenarioWarning) where an FMU that replaces that of the base may be another than was meant.
+    Warns (ScenarioWarning) where an FMU that replaces the base's may not be the intended one.
     """
     made = made or {}
     layers = given_layers(layers or file_layers(path), overrides or {}, settings or {})
@@ -156,7 +154,8 @@ def _converted(data: Data, port: Callable[[str], Port | None]) -> Data:
     result = {**data, **{table: dict(data.get(table, {})) for table in ("parameters", "inputs")}}
     for entries in (result["parameters"], result["inputs"]):
         for name, value in entries.items():
-            with suppress(FmuLoadError):  # what is not built yet is converted when it runs
+            with suppress(FmuLoadError):
+                # values of an FMU that is not built yet are converted when it runs
                 if isinstance(value, str) and (own := port(name)) and own.variable.type == "Real":
                     entries[name] = fmi_value(own, value)
     return result
@@ -168,7 +167,8 @@ def _check_parameters(files: Sequence[TomlFile], data: Data, describe: Describe)
         for name in (name for name in file.data.get("parameters", {}) if name in data["parameters"]):
             component, _, variable = name.partition(".")
             fmu = data["components"].get(component)
-            with suppress(FmuLoadError):  # what is not built yet is checked when it runs
+            with suppress(FmuLoadError):
+                # an FMU that is not built yet is checked when it runs
                 if fmu and variable not in describe(fmu):
                     raise ScenarioError(f"{file.at(('parameters', name))}: {other_fmu(name, fmu)}")
 
@@ -181,9 +181,24 @@ def load_scenario(
 ) -> Scenario:
     """Returns the shipped scenario of a name, or the scenario of a file that ends with .toml.
 
-    overrides: tables as in a file, laid over it
-    settings: "component.variable" -> value of a parameter or a constant input; component -> FMU or block
-    Raises ScenarioError. The FMUs of our blocks have to be built: `l1-depth build --cache`.
+    Parameters
+    ----------
+    scenario : str or Path
+        The name or the file.
+    overrides : mapping, optional
+        Tables as in a file, laid over it.
+    settings : mapping, optional
+        "component.variable" -> value of a parameter or a constant input; component -> FMU or block.
+
+    Returns
+    -------
+    Scenario
+        System, experiment and metrics. FMUs of blocks have to be built to run it: `l1-depth build --cache`.
+
+    Raises
+    ------
+    ScenarioError
+        For a mistake in a file or an argument; it names file and line.
     """
     path = find(str(scenario))
     layers = file_layers(path)

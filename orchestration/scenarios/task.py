@@ -57,12 +57,26 @@ def task_of(
 ) -> Task:
     """Returns the task of a component of a scenario, whose place the agent takes.
 
-    reward: metric of the scenario -> weight (`reward_of`), or a function as of `Task`
-    replaced: the component. The inputs that it drives are the actions; the outputs that it is connected to,
-    and the signals that drive it, are the observations
-    plant: FMU or block in the place of the plant of a scenario that is named
-    mapping: name of the vehicle's interface -> variable of that plant
-    settings: those of `Task`, in place of what follows from the scenario
+    Parameters
+    ----------
+    scenario : str or Scenario
+        The scenario, or its name.
+    reward : mapping or callable
+        Metric of the scenario -> weight (`reward_of`), or a function: see `Task`.
+    replaced : str
+        The component. The inputs that it drives are the actions; the outputs that drive it, and its signals,
+        are the observations.
+    plant : str or Path
+        FMU or block in the place of the plant, if the scenario is given by name.
+    mapping : mapping, optional
+        Name of the vehicle's interface -> variable of that plant.
+    **settings
+        Members of `Task`, in place of the scenario's.
+
+    Raises
+    ------
+    ScenarioError
+        For an unknown component, a loaded scenario with a `plant`, or a reward that reads the component.
     """
     if isinstance(scenario, str):
         overrides = {"components": {"plant": {"names": dict(mapping)}}} if mapping else {}

@@ -1,4 +1,4 @@
-"""A TOML file: what it holds, and on which line each key stands."""
+"""A TOML file: its content, and the line of each key."""
 
 import re
 import sys
@@ -32,6 +32,7 @@ class TomlFile:
     @cached_property
     def lines(self) -> dict[KeyPath, int]:
         """Keys -> line, from 1, of the key or of the header of a table; the second [[a]] is ("a", 1)."""
+        # tomllib does not report the lines of keys
         lines: dict[KeyPath, int] = {}
         table: KeyPath = ()
         count: Counter[KeyPath] = Counter()
@@ -80,15 +81,15 @@ def _names(keys: str) -> tuple[str, ...]:
 
 @contextmanager
 def placed(files: Sequence[TomlFile]) -> Iterator[None]:
-    """Errors in what is given, raised inside, begin with the file, and the line of what they are about.
+    """Puts the file, and the line of their keys (`InputError.about`), before errors that are raised inside.
 
     files: of a scenario, the uppermost first; a line of another file stands at the end
     """
     try:
         yield
     except InputError as error:
-        if error.about is None:
-            raise
+        if error.is_placed:
+            raise ScenarioError(str(error)) from error
         places = ((file, line) for file in files for key in error.about if (line := file.line_of(key)))
         file, line = next(places, (files[0], 0))
         if file is not files[0]:
@@ -99,7 +100,7 @@ def placed(files: Sequence[TomlFile]) -> Iterator[None]:
 
 
 def read_toml(path: Path) -> TomlFile:
-    """Reads a file; ScenarioError says what is wrong with it."""
+    """Reads a file; ScenarioError for one that is missing or no TOML."""
     try:
         text = path.read_text(encoding="utf-8")
         return TomlFile(path, text, tomllib.loads(text))

@@ -1,6 +1,6 @@
-"""The description of a vehicle: what is asked of it by names that its FMU does not have.
+"""The description of a vehicle: its properties by names that its FMU does not have.
 
-It stands beside an FMU or a Python file as NAME.vehicle.toml. Those of blocks that ship are in `vehicles/`.
+It stands beside an FMU or a Python file as NAME.vehicle.toml; for shipped blocks it is in `vehicles/`.
 
 [variables]                      # name of the vehicle's interface -> variable of this vehicle
 start_depth = "z0"
@@ -165,7 +165,7 @@ class VehicleValues:
         return [self.value(name, key) for name in ([names] if isinstance(names, str) else names) if name]
 
     def interface(self, name: str, otherwise: float) -> float:
-        """Returns the value of an input by its name in the interface, or another one if there is none."""
+        """Returns the value of an input by its name in the interface, or `otherwise` without that input."""
         own = self.mapping.get(name, name)
         return self.value(own) if own in self.variables else otherwise
 

@@ -13,8 +13,7 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators
 from orchestration.scenarios.fmu_files import build_missing, fmu_file
-from orchestration.scenarios.layers import components_of
-from orchestration.scenarios.read_layers import file_layers, named_fmu, shipped_bases
+from orchestration.scenarios.layers import components_of, file_layers, named_fmu, shipped_bases
 from orchestration.scenarios.toml_file import TomlFile
 from orchestration.scenarios.vehicle import (
     PLANT,

@@ -62,19 +62,41 @@ class Event:
 class Experiment:
     """An experiment with a system.
 
-    parameters, inputs: "component.variable" -> value, set before the initialisation
-    signals: "component.variable" -> function of time, set at every communication point
-    record: names of variables of any causality and type; empty means all outputs but Strings, and all signals
-    extrapolation: order, 0 or 1, of the input extrapolation between communication points
-    step_sizes: component -> its own step size [s], a multiple of `step_size`
-    tolerance: of the error caused by exchanging at communication points only; the master then varies the step
-    fmu_tolerance: handed to the FMUs, relative, for their solvers; without it they use their own
-    initialisation: how algebraic loops of initial values are solved
-    faults: on inputs that a connection or a signal drives; several faults on one input act in their order
-    open_inputs: inputs that nothing drives are an error, or keep their FMU's start value
-    error_estimate: whether a second run at twice the step follows, and estimates the error of this one
+    Parameters
+    ----------
+    stop_time, step_size, start_time : float
+        End, communication step size and start [s].
+    algorithm : {"jacobi", "gauss-seidel"}
+        The order in which components step and exchange values.
+    parameters, inputs : mapping
+        "component.variable" -> value, set before the initialisation.
+    signals : mapping
+        "component.variable" -> function of time [s], set at every communication point.
+    events : sequence of Event
+        Variables that are set at a time.
+    record : sequence of str
+        Variables of any causality and type; empty for all signals and all outputs except Strings.
+    extrapolation : {0, 1}
+        Order of the input extrapolation between communication points.
+    step_sizes : mapping
+        Component -> its own step size [s], a multiple of `step_size`.
+    tolerance : float, optional
+        Of the error caused by exchanging at communication points only; the master then varies the step.
+    fmu_tolerance : float, optional
+        Relative tolerance of the FMUs' solvers; by default their own.
+    initialisation : {"automatic", "fixed-point", "newton"}
+        How algebraic loops of initial values are solved.
+    faults : sequence of Fault
+        On inputs that a connection or a signal drives; several faults on one input act in their order.
+    open_inputs : {"error", "start"}
+        Inputs that nothing drives are an error, or keep their FMU's start value.
+    error_estimate : bool
+        Whether a second run at twice the step follows, and estimates the error of this one.
 
-    Raises SystemDefinitionError for values that do not fit together.
+    Raises
+    ------
+    SystemDefinitionError
+        For values that do not fit together.
     """
 
     stop_time: float
@@ -176,38 +198,25 @@ def _expect(condition: bool, message: str, *about: str) -> None:
         raise SystemDefinitionError(message, *([about] if about else []))
 
 
-_OF = ("experiment",)
+def _expect_setting(condition: bool, message: str, name: str) -> None:
+    _expect(condition, message, "experiment", name)
 
 
 def _check_times(experiment: Experiment) -> None:
     start, stop, step = experiment.start_time, experiment.stop_time, experiment.step_size
     for name, value in (("stop_time", stop), ("step_size", step), ("start_time", start)):
         is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-        _expect(is_number, f"{name} = {value!r}: expected a number of seconds", *_OF, name)
-    _expect(
-        0.0 < step < math.inf, f"communication step size {step!r} s: expected more than 0", *_OF, "step_size"
-    )
-    _expect(math.isfinite(start), f"start time {start!r} s: expected a finite number", *_OF, "start_time")
-    _expect(
-        start < stop < math.inf,
-        f"stop time {stop!r} s: expected more than the start time {start!r} s",
-        *_OF,
-        "stop_time",
-    )
+        _expect_setting(is_number, f"{name} = {value!r}: expected a number of seconds", name)
+    size = f"communication step size {step!r} s"
+    _expect_setting(0.0 < step < math.inf, f"{size}: expected more than 0", "step_size")
+    _expect_setting(math.isfinite(start), f"start time {start!r} s: expected a finite number", "start_time")
+    expected = f"expected more than the start time {start!r} s"
+    _expect_setting(start < stop < math.inf, f"stop time {stop!r} s: {expected}", "stop_time")
     is_within = step <= (stop - start) * (1.0 + GRID_TOLERANCE)
-    _expect(
-        is_within,
-        f"communication step size {step!r} s: expected at most the run, {stop - start:g} s",
-        *_OF,
-        "step_size",
-    )
+    _expect_setting(is_within, f"{size}: expected at most the run, {stop - start:g} s", "step_size")
     count = (stop - start) / step
-    _expect(
-        count <= _MOST_STEPS,
-        f"{count:.3g} communication steps: expected at most {_MOST_STEPS:.0e}",
-        *_OF,
-        "step_size",
-    )
+    expected = f"expected at most {_MOST_STEPS:.0e}"
+    _expect_setting(count <= _MOST_STEPS, f"{count:.3g} communication steps: {expected}", "step_size")
     for event in experiment.events:
         expected = f"expected a time within the run, {start:g}..{stop:g} s"
         _expect(start <= event.time <= stop, f"event at {event.time!r} s: {expected}", "events")
@@ -215,22 +224,16 @@ def _check_times(experiment: Experiment) -> None:
 
 def _check_options(experiment: Experiment) -> None:
     order, tolerance = experiment.extrapolation, experiment.tolerance
-    _expect(order in (0, 1), f"extrapolation = {order!r}: expected order 0 or 1", *_OF, "extrapolation")
+    _expect_setting(order in (0, 1), f"extrapolation = {order!r}: expected order 0 or 1", "extrapolation")
     for name, value in (("tolerance", tolerance), ("fmu_tolerance", experiment.fmu_tolerance)):
         fits = value is None or 0.0 < value < 1.0
-        _expect(fits, f"{name} = {value!r}: expected more than 0, less than 1", *_OF, name)
-    if tolerance is not None:
-        _expect(
-            not experiment.step_sizes, "tolerance and step_sizes: expected one of them", *_OF, "tolerance"
-        )
+        _expect_setting(fits, f"{name} = {value!r}: expected more than 0, less than 1", name)
+    is_one = tolerance is None or not experiment.step_sizes
+    _expect_setting(is_one, "tolerance and step_sizes: expected one of them", "tolerance")
+    expected = f"expected a multiple of the communication step size, {experiment.step_size!r} s"
     for name, size in experiment.step_sizes.items():
-        expected = f"expected a multiple of the communication step size, {experiment.step_size!r} s"
-        _expect(
-            is_multiple(size, experiment.step_size),
-            f"step size of {name}, {size!r} s: {expected}",
-            "step_sizes",
-            name,
-        )
+        is_fitting = is_multiple(size, experiment.step_size)
+        _expect(is_fitting, f"step size of {name}, {size!r} s: {expected}", "step_sizes", name)
 
 
 def suggested_times(

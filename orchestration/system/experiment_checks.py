@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import nearest
+from fmus.fmi.variable_types import FmiValue
 from fmus.operating_system import memory_size
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment
 from orchestration.system.faults import Stuck
-from orchestration.system.system import CheckedSystem
+from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.time_grid import is_multiple, within
 from orchestration.system.values import fmi_value
+
+Setting = tuple[Port, FmiValue]
 
 
 def check_signals(system: CheckedSystem, experiment: Experiment) -> None:
@@ -94,33 +97,40 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
             )
 
 
-def check_events(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> None:
-    """Raises SystemDefinitionError for an event that sets what cannot be set during a run.
+def checked_events(
+    system: CheckedSystem, experiment: Experiment, driven: Collection[str]
+) -> list[tuple[float, list[Setting]]]:
+    """Returns the time [s] and the settings of each event, in the order of time.
 
     driven: inputs that a connection or a signal drives
+    Raises SystemDefinitionError for an event that sets what cannot be set during a run.
     """
+    events = []
     for event in experiment.events:
-        purpose = f"event at {event.time} s"
+        settings = []
         for name, value in event.values.items():
-            fmi_value(system.port(name, purpose), value)
-            check_changeable(system, name, purpose, driven)
+            port = system.port(name, f"event at {event.time} s")
+            settings.append((port, fmi_value(port, value)))
+            check_changeable(port, f"event at {event.time} s", driven)
+        events.append((event.time, settings))
+    return sorted(events, key=lambda event: event[0])
 
 
-def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Collection[str]) -> None:
+def check_changeable(port: Port, purpose: str, driven: Collection[str]) -> None:
     """Raises SystemDefinitionError for a variable that cannot be set during a run.
 
     driven: inputs that a connection or a signal drives
     """
-    variable = system.port(name, purpose).variable
+    variable = port.variable
     if variable.causality not in ("parameter", "input"):
         problem = f"does not fit: expected a parameter or an input, got {variable.causality}"
     elif variable.variability == "fixed":
         problem = "is fixed: only tunable parameters may change"
-    elif name in driven:
+    elif port.name in driven:
         problem = "is driven already, by a connection or signal"
     else:
         return
-    raise SystemDefinitionError(f"{purpose}: {name} {problem}", name)
+    raise SystemDefinitionError(f"{purpose}: {port.name} {problem}", port.name)
 
 
 def check_memory(system: CheckedSystem, experiment: Experiment) -> None:

@@ -168,7 +168,8 @@ class InterpolatedDelay(Effect):
         _check_number("delay", self.delay, "a finite number of seconds, 0 or more", 0.0)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
-        sent = np.interp(times[inside] - self.delay, times, np.arange(len(times)))  # as a fractional index
+        # as a fractional index: interpolation between any two samples, also of a shorter last step
+        sent = np.interp(times[inside] - self.delay, times, np.arange(len(times)))
         before = np.floor(sent).astype(int)
         source = np.column_stack([before, np.minimum(before + 1, inside)])
         weight = np.column_stack([1.0 - (sent - before), sent - before])
@@ -207,7 +208,19 @@ KINDS: Mapping[str, type[Effect]] = {
 class Fault:
     """A fault: an effect on what arrives at an input, "component.variable", from `start` until `end` [s].
 
-    A connection is named by its input, so that one of several that an output feeds can fail alone.
+    Parameters
+    ----------
+    input : str
+        "component.variable". It names the connection: one of several that an output feeds can fail alone.
+    effect : Effect
+        Freeze, Stuck, Offset, Drift, Noise, DropOut, Delay, InterpolatedDelay or Scale.
+    start, end : float
+        Times [s]; by default the whole run.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For an end that is not after the start.
     """
 
     input: str

@@ -1,4 +1,4 @@
-"""One run of a system: what follows from the system and the experiment, computed and checked once."""
+"""One run of a system: everything that follows from system and experiment, computed and checked once."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,16 +15,17 @@ from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.experiment_checks import (
+    Setting,
     check_capabilities,
-    check_events,
     check_faults,
     check_memory,
     check_signals,
+    checked_events,
 )
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table, values_at
-from orchestration.system.system import CheckedSystem, Port, System, check
+from orchestration.system.system import CheckedSystem, System, check
 from orchestration.system.values import (
     fmi_value,
     is_discrete,
@@ -33,8 +34,6 @@ from orchestration.system.values import (
     value_of_open_input,
     value_range,
 )
-
-Setting = tuple[Port, FmiValue]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,7 @@ class PreparedRun:
     recorded: names of the recorded variables
     settings: parameters, constant inputs and open ones, with their values as the FMUs take them
     changes: index of a communication point -> what is set there
-    periods: component -> communication steps in one step of its own
+    periods: component -> communication steps in one step of the component
     input_ranges: driven input -> its smallest and largest value
     retry_obstacle: why a discarded step cannot be repeated in shorter steps; empty if it can
     external: input that the caller sets between the steps -> its first value
@@ -88,7 +87,8 @@ class PreparedRun:
             signal = replace(signal, hold=True)
         try:
             values[:] = values_at(signal, self.points)
-        except Exception as error:  # whatever a user's own function raises
+        except Exception as error:
+            # a user's function may raise anything
             raise SystemDefinitionError(f"signal {name}: {error!r}", ("signals", name)) from error
         expected, is_possible = possible_values(self.system.ports[name], values)
         for i in np.flatnonzero(~is_possible)[:1]:
@@ -112,6 +112,7 @@ class PreparedRun:
     def copy(self, **changes: Any) -> "PreparedRun":
         """Returns this run with other members; times and signals are its own, and a run may change them."""
         again = replace(self, points=self.points.copy(), **changes)
+        # fills the cached property: signals are functions of users, and are not called again
         vars(again)["signal_values"] = self.signal_values.copy()
         return again
 
@@ -145,7 +146,7 @@ def check_for(
     """Returns the checked system, with the inputs that the experiment drives.
 
     external: inputs that the caller sets between the steps
-    descriptions: those of the components, if they have been read already
+    descriptions: of the components, if they have been read already
     """
     driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
     return check(system, driven, descriptions, OpenInputs(experiment.open_inputs))
@@ -162,7 +163,7 @@ def prepare_checked(
     first_values = _external(system, experiment, external)
     driven = {*experiment.signals, *first_values, *(target.name for _, target in system.connections)}
     recorded = _recorded(system, experiment, first_values)
-    check_events(system, experiment, driven)
+    events = checked_events(system, experiment, driven)
     check_faults(system, experiment, driven)
     check_capabilities(system, experiment)
     check_signals(system, experiment)
@@ -175,7 +176,7 @@ def prepare_checked(
         points=points,
         recorded=recorded,
         settings=_settings(system, experiment),
-        changes=_changes(system, experiment, points),
+        changes=_changes(experiment, events, points),
         periods={name: experiment.period(name) for name in system.components},
         input_ranges={name: value_range(system.ports[name]) for name in driven},
         retry_obstacle=_retry_obstacle(system, experiment),
@@ -235,9 +236,8 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
                 name,
             )
         settings.append((port, fmi_value(port, value)))
-    for name, value in experiment.inputs.items():
-        port = system.port(name, "input")
-        settings.append((port, fmi_value(port, value)))
+    inputs = experiment.inputs.items()
+    settings += [(port, fmi_value(port, value)) for name, value in inputs if (port := system.ports[name])]
     starts = ((port, value_of_open_input(port)) for port in system.open_inputs)
     return (*settings, *starts)
 
@@ -250,16 +250,17 @@ def has_start_value(variable: ScalarVariable) -> bool:
     return variable.causality == "parameter" or variable.initial in ("exact", "approx")
 
 
-def _changes(system: CheckedSystem, experiment: Experiment, points: np.ndarray) -> dict[int, list[Setting]]:
+def _changes(
+    experiment: Experiment, events: Sequence[tuple[float, Sequence[Setting]]], points: np.ndarray
+) -> dict[int, list[Setting]]:
     """Returns the changes; a component takes one at its first communication point at or after the event."""
     changes: dict[int, list[Setting]] = {}
-    for event in sorted(experiment.events, key=lambda event: event.time):
-        first = int(np.searchsorted(points, event.time - experiment.time_resolution()))
-        for name, value in event.values.items():
-            port = system.ports[name]
+    for time, settings in events:
+        first = int(np.searchsorted(points, time - experiment.time_resolution()))
+        for port, value in settings:
             period = experiment.period(port.component)
             index = min(-(-first // period) * period, len(points) - 1)
-            changes.setdefault(index, []).append((port, fmi_value(port, value)))
+            changes.setdefault(index, []).append((port, value))
     return changes
 
 
@@ -289,8 +290,10 @@ def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
     return values
 
 
-_MOST_STEPS = 100_000  # whose times and signals stay in memory
-_IMMUTABLE = (Constant, Cosine, Ramps)  # signals that cannot have changed if they are equal
+# Longer runs are prepared anew each time: their times and signals would stay in memory.
+_MOST_STEPS = 100_000
+# Signals whose members cannot change: equal ones give equal values. A table has arrays.
+_IMMUTABLE = (Constant, Cosine, Ramps)
 _VALUES = ("parameters", "inputs")
 
 
@@ -316,7 +319,8 @@ class PreparedRuns:
         key = _key(system, experiment) if not external else None
         self.only_values_differ = key is not None and key == self._key
         if not (self.only_values_differ and self._first):
-            self._key, self._first = None, None  # should anything be refused
+            # forgotten first: if the run is refused, the next one is compared with nothing
+            self._key, self._first = None, None
             first = prepare_checked(system, experiment, external)
             if key is None:
                 return first

@@ -15,7 +15,8 @@ from orchestration.errors import SystemDefinitionError
 
 Units = Mapping[str, UnitDefinition]
 """Name of a unit -> its definition by an FMU or a file."""
-_EQUAL = 1e-12  # tools write the factor of one unit with 15 or with 17 digits
+# Tools write the factor of one unit with 15 or with 17 digits.
+_EQUAL = 1e-12
 # not "1,5 m", "1.2.3 m" or "1 000 m"
 _QUANTITY = re.compile(
     r"((?>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:inf|nan)(?=\s)))\s*(?![.,']|\d[\d\s.,])(\S.*)"
@@ -45,8 +46,8 @@ def conversion(
     """Returns the change from a unit to the expected one; "" is the expected one.
 
     A definition goes over the meaning of a name in SI units.
-    own: definitions of the FMU that has the expected unit; stated: those of the file or the FMU that states
-    the other one, over these
+    own: definitions of the FMU that has the expected unit; stated: definitions of the file or the FMU
+    that states the other one, over these
     Raises SystemDefinitionError for a unit that is not known, or has another dimension.
     """
     stated = {**own, **(stated or {})}
@@ -75,7 +76,7 @@ def are_equal(unit: str | None, other: str | None, own: Units, stated: Units) ->
 
 
 def in_unit_of(variable: ScalarVariable, unit: str, stated: Units | None = None) -> Conversion:
-    """Returns the change from a unit to that of a variable, as `conversion`."""
+    """Returns the change from a unit to a variable's unit, as `conversion`."""
     own = of_differences(stated) if stated and variable.is_relative else stated
     return conversion(unit, variable.unit or "", variable.units, own)
 
@@ -122,5 +123,5 @@ def read_value(text: str, variable: ScalarVariable) -> FmiValue:
     if match is None:
         return str(text)
     units, file = getattr(text, "units", None), getattr(text, "file", "")
-    # many FMUs state no units: those of a parameter file are then for readers
+    # many FMUs state no units: the units of a parameter file are then for readers
     return in_unit_of(variable, match[2] if variable.unit or not file else "", units)(float(match[1]))

@@ -23,7 +23,7 @@ from orchestration.system.signals import (
 class Derivative(ArraySignal):
     """The derivative of that order, 1 or 2, of the signal `of` another input.
 
-    At a kink it is that of the time after it, which holds over the next communication step.
+    At a kink it is the derivative after it, which holds over the next communication step.
     """
 
     of: str
@@ -74,7 +74,10 @@ def _instead(name: str, of: str, sources: Mapping[str, str]) -> str:
 
 
 def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Signal:
-    """Returns the derivative of a signal, of order 1 or 2; `name` begins the error where there is none."""
+    """Returns the derivative of a signal, of order 1 or 2.
+
+    name: begins the ScenarioError about a signal without a derivative
+    """
     if not isinstance(signal, Constant | Cosine | Ramps | Sines | Table):
         known = "ramps, cosine, sines, constant or table"
         raise ScenarioError(

@@ -143,7 +143,7 @@ class Table(ArraySignal):
     """A table: `values` at `times` [s], shapes (n,), held before the first and after the last.
 
     Between two times a straight line, or with hold = True the earlier value. Two rows of one time are a jump:
-    from that time on the value is that of the last one.
+    from that time on the last row's value holds.
     """
 
     times: npt.ArrayLike = ()
@@ -167,7 +167,7 @@ class Table(ArraySignal):
 
     @property
     def jumps(self) -> np.ndarray:
-        """Times [s] at which the value jumps."""
+        """Times [s] of jumps of the value."""
         known = np.asarray(self.times)
         return known if self.hold else known[1:][np.diff(known) == 0.0]
 
@@ -222,7 +222,8 @@ def _quintic_rate(s: np.ndarray, order: int) -> np.ndarray:
     return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 
-_LOWEST, _HIGHEST = 0.5, 4.0  # of the peak frequency; JONSWAP has 0.4 % of its variance above
+# Of the peak frequency: JONSWAP has 0.4 % of its variance above the highest.
+_LOWEST, _HIGHEST = 0.5, 4.0
 _MOST_COMPONENTS = 10_000
 
 
@@ -291,9 +292,9 @@ def spectrum(
     standard_deviation: of the signal over a long time, in the unit of the input; a quarter of its
         significant height
     peak_period: of the peak of the spectrum [s]
-    gamma: by how much the peak is higher than that of Pierson and Moskowitz, 1 or more
-    components: how many sines; each has a frequency of its own in one of as many equal bands from half the
-        peak frequency to four times that, so that the signal has no period
+    gamma: factor of the peak over Pierson and Moskowitz's, 1 or more
+    components: number of sines, each with a random frequency in one of as many equal bands from half the
+        peak frequency to four times the peak frequency, so that the signal has no period
     seed: of the phases and of the frequencies within their bands
 
     The amplitudes follow from the spectrum at the frequencies: every seed gives the same variance.
@@ -308,7 +309,7 @@ def spectrum(
 
 
 def jonswap(ratio: np.ndarray, gamma: float) -> np.ndarray:
-    """Returns the JONSWAP spectrum, without its scale, at frequencies relative to that of its peak.
+    """Returns the JONSWAP spectrum, without its scale, at frequencies relative to the peak's.
 
         S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),   s = 0.07 for x <= 1, 0.09 above
 

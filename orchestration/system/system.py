@@ -53,7 +53,7 @@ class LinearTransformation:
         return cls(**{name: float(value) for name, value in given.items()})
 
 
-# type of an input -> types of the outputs that it accepts: those of which every value is one of its own
+# type of an input -> types of outputs that it accepts, of which it can hold every value
 _ACCEPTED = {
     "Real": ("Real", "Integer"),
     "Integer": ("Integer", "Enumeration"),
@@ -79,11 +79,19 @@ class Port:
 class System:
     """A system: named FMUs and their connections, (source, target) as "component.variable".
 
-    A component may also be a policy class, "my.py:Policy": its FMU is made in the user's cache.
+    Parameters
+    ----------
+    components : mapping
+        Name -> path of an FMU, or policy class, "my.py:Policy", whose FMU is made in the user's cache.
+    connections : iterable
+        (source, target). A third item, {"factor": 0.001, "offset": 0.0}, transforms the value.
 
-    A third item, {"factor": 0.001, "offset": 0.0}, transforms what the connection carries.
-
-    Raises SystemDefinitionError for another form, ExportError for a class that is no policy.
+    Raises
+    ------
+    SystemDefinitionError
+        For another form.
+    ExportError
+        For a class that is no policy.
     """
 
     components: Mapping[str, Path]
@@ -238,14 +246,11 @@ class CheckedSystem:
             if group[0] < len(connections)
         )
 
-    def initial_dependencies(self, output: Port) -> list[str]:
-        """Returns the inputs that an output depends on in initialisation mode; all if not declared."""
-        return self.declared_dependencies.get(output.name, self.inputs[output.component])
-
 
 def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
     """Returns the strongly connected component of each node."""
-    from scipy.sparse import coo_array  # only for loops: it takes as long to import as all the rest
+    # imported for loops alone: it takes as long to import as all the rest
+    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     edges = [(earlier, i) for i, all_earlier in dependencies.items() for earlier in all_earlier]
@@ -263,7 +268,7 @@ def check(
     """Reads every model description and checks every name, type and unit of the system.
 
     driven: inputs that a signal or a constant drives; every other input needs a connection
-    descriptions: those of the components, if they have been read already
+    descriptions: of the components, if they have been read already
     open_inputs: whether an input that nothing drives is an error
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """

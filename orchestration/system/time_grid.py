@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-GRID_TOLERANCE = 1e-9  # of a step: a time this close to a communication point is on it
+# Of a step: times are computed in floating point, so a time this close to a communication point is on it.
+GRID_TOLERANCE = 1e-9
 
 
 def time_grid(start: float, stop: float, step: float) -> np.ndarray:

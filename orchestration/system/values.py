@@ -17,7 +17,8 @@ from orchestration.system.system import Port
 
 Value = FmiValue | np.generic  # as users give it
 
-_ROUNDING = 1e-15  # of a signal's largest value: some units in the last place, by which it may miss a limit
+# Of a signal's largest value: some units in the last place, by which a computed curve may miss a limit.
+_ROUNDING = 1e-15
 _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (bool,)}  # others: int
 
 
@@ -26,18 +27,19 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
 
     Raises SystemDefinitionError for a value of another type, or outside the declared range, also by name.
     """
-    variable, name = port.variable, f"{getattr(value, 'place', '')}{port.name}"
+    variable, place = port.variable, getattr(value, "place", "")
     plain: FmiValue = value.item() if isinstance(value, np.generic) else value
     if isinstance(plain, StatedValue) or (isinstance(plain, str) and variable.type == "Real"):
         try:
             plain = read_value(plain, variable)
         except SystemDefinitionError as error:
-            raise SystemDefinitionError(f"{name} = {str(plain)!r}: {error}", port.name) from None
+            message = f"{port.name} = {str(plain)!r}: {error}"
+            raise SystemDefinitionError(message, port.name, place=place) from None
     if variable.type == "String":
         return str(plain)
     if isinstance(plain, str):
         plain = _allowed_items(port).get(plain, plain)
-    return _number(port, plain, name)
+    return _number(port, plain, place)
 
 
 def value_of_open_input(port: Port) -> FmiValue:
@@ -48,6 +50,7 @@ def value_of_open_input(port: Port) -> FmiValue:
 
 def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValue]:
     """Returns the values as the FMU takes them, as `fmi_value`."""
+    # a sweep has thousands of values: plain floats are checked at once
     is_double = port.variable.type == "Real" and not port.variable.is_float32
     if is_double and all(type(value) is float for value in values):
         low, high = value_range(port)
@@ -57,7 +60,7 @@ def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValu
     return [fmi_value(port, value) for value in values]
 
 
-def _number(port: Port, value: FmiValue, name: str) -> float | int | bool:
+def _number(port: Port, value: FmiValue, place: str) -> float | int | bool:
     variable = port.variable
     expected = _PYTHON_TYPES.get(variable.type, (int,))
     has_type = isinstance(value, expected) and (variable.type == "Boolean" or not isinstance(value, bool))
@@ -77,7 +80,8 @@ def _number(port: Port, value: FmiValue, name: str) -> float | int | bool:
         expected = "0, or 1.4e-45..3.4e38 in size, as it has single precision (Float32)"
     else:
         return value
-    raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}", port.name)
+    message = f"{port.name} = {reprlib.repr(value)}: expected {expected}"
+    raise SystemDefinitionError(message, port.name, place=place)
 
 
 def items(port: Port) -> dict[str, int]:

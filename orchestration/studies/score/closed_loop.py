@@ -24,8 +24,7 @@ from orchestration.many.run_many import Make, in_order
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.changes import given_layers, values_of_settings, with_values
-from orchestration.scenarios.layers import Layer, components_of
-from orchestration.scenarios.read_layers import file_layers, shipped_bases, stated_values
+from orchestration.scenarios.layers import Layer, components_of, file_layers, shipped_bases, stated_values
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.studies.score.protocol import REFERENCE, Case, Protocol, check_vehicle

@@ -17,8 +17,7 @@ from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.file_format import METRIC
 from orchestration.scenarios.file_tables import Table, checked
-from orchestration.scenarios.layers import Data, merge
-from orchestration.scenarios.read_layers import shipped_bases
+from orchestration.scenarios.layers import Data, merge, shipped_bases
 from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
 from orchestration.scenarios.vehicle import SHIPPED, ChangesTable
 from orchestration.studies.score.protocol_format import (

@@ -2,8 +2,8 @@
 
 import pytest
 
-from orchestration.run import run_clock
-from orchestration.run.run_clock import Pacing
+from orchestration.run import run_recording
+from orchestration.run.run_recording import Pacing
 
 
 class Clock:
@@ -22,7 +22,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(run_clock, "time", clock)
+    monkeypatch.setattr(run_recording, "time", clock)
     return clock
 
 

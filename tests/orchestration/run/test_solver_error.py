@@ -9,9 +9,9 @@ import pytest
 from orchestration.errors import FmuError, FmuWarning, SimulationError
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
+from orchestration.run.access import Snapshot
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.run.run import Run
-from orchestration.run.saved_states import Snapshot
 from orchestration.run.step_control import StepControl
 from orchestration.run.tolerance import step_together_and_split
 from orchestration.system.experiment import Algorithm, Event, Experiment

@@ -9,7 +9,7 @@ import pytest
 from orchestration.cli.chosen_scenario import load
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
-from orchestration.scenarios.read_layers import stated_values
+from orchestration.scenarios.layers import stated_values
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.system import prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
@@ -314,6 +314,20 @@ def test_a_mistake_in_a_parameter_file_is_told_after_the_scenario(
     path = write(tmp_path, 'parameter_files = ["gains.toml"]\n' + CHILD)
     with pytest.raises(ScenarioError, match=r"mine.toml: .*proportional_gain = -9.0: .* \(.*gains.toml:2\)"):
         load(str(path))
+
+
+@pytest.mark.parametrize("unit", ["N/m", "kg"])
+def test_a_value_with_a_unit_of_a_parameter_file_names_its_place_once(
+    scenario_fmus: None, tmp_path: Path, unit: str
+) -> None:
+    entry = f'[parameters]\n"controller.proportional_gain" = {{ value = -9.0, unit = "{unit}" }}\n'
+    (tmp_path / "gains.toml").write_text(entry)
+    path = write(tmp_path, 'parameter_files = ["gains.toml"]\n' + CHILD)
+    with pytest.raises(ScenarioError) as caught:
+        load(str(path))
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'gains.toml'}:2: controller.proportional_gain = ")
+    assert message.count(".toml") == 1
 
 
 @pytest.mark.parametrize(
