@@ -34,7 +34,7 @@ REFERENCE_RATES = (
     " The loop then follows a ramp with a lag, as the equations say."
 )
 HELD_CONTROL = (
-    "The controller calculates the force of its own voltages, held from one communication point to the next:"
+    "The controller calculates the force of its voltages, held from one communication point to the next:"
     " a communication step should not be longer than internal_step."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")

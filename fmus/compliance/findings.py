@@ -19,7 +19,7 @@ IN_BASELINE = "in the baseline"
 _MOST_SHOWN = 3  # messages of one rule about one FMU; more are one line
 _PYTHONFMU = "pythonfmu/__init__.py"
 _LINE = re.compile(r"(?:^|\()line (\d+)[:)]")  # FMPy puts it into parentheses
-# what a message names: in apostrophes, at its begin or after "of", without the punctuation that follows
+# the name in a message: in apostrophes, at its begin or after "of", without the punctuation that follows
 _NAMED = re.compile(r"'([^']+)'|(?:^|\bof )([^\s:']+?)(?=[:,]?(?:\s|$))")
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?(?:[/\\][^/\\\s:'\"]+)+[/\\]")  # of an absolute path
 _NUMBER = re.compile(r"(?<![\w\[#.])[+-]?(?:0x[0-9a-f]+|\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\w\]])")

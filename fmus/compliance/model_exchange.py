@@ -200,7 +200,7 @@ class ModelExchangeInstance(CalledInstance):
 
     def _terminate_if(self, terminates: int) -> None:
         if terminates:
-            raise _StepEndsError("the FMU terminates the simulation by itself")
+            raise _StepEndsError("the FMU asks to terminate the simulation")
 
     def _integrate(self, t: float, end: float, least: float, no_going_back: bool) -> tuple[float, str]:
         """Integrates by Heun's scheme up to an event, or the end; returns its time and its cause.

@@ -61,7 +61,7 @@ class Message:
 
 @dataclass(slots=True)
 class Reply:
-    """Reply to a call; `status` is None until it was made.
+    """Reply to a call; `status` stays None until the call was made.
 
     function: of FMI, the latest that the call has called
     reason: why a step for model exchange is discarded although no call failed

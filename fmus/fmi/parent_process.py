@@ -68,7 +68,7 @@ def _end_without_clearing_up(status: int) -> None:
         # private, but the only way to call them before `os._exit`
         atexit._run_exitfuncs()
         with suppress(OSError, ValueError):
-            # a stream that was closed (>&-) is None
+            # a closed stream (>&-) has the value None
             for stream in filter(None, (sys.stdout, sys.stderr)):
                 stream.flush()
             # ctypes loads FMUs: the output of their C code may stand in a buffer of C

@@ -46,7 +46,8 @@ def check_standard(system: System | CheckedSystem, target: str) -> None:
     for name, path in system.components.items():
         if (version := describe(path).fmiVersion) != "2.0":
             raise ScenarioError(
-                f"{target} with {name}, {path.name}, of FMI {version}: expected FMI 2.0, as of l1-depth build"
+                f"{target} with {name}, {path.name}, of FMI {version}: expected FMI 2.0, "
+                "as l1-depth build writes it"
             )
 
 

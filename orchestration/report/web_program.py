@@ -70,7 +70,7 @@ def program(prepared: PreparedRun, settings: Sequence[Setting]) -> bytes:
     system = prepared.system
     check_standard(system, _TARGET)
     if prepared.experiment.tolerance:
-        raise ScenarioError(f"{_TARGET} with a tolerance: expected none, its steps are those of the grid")
+        raise ScenarioError(f"{_TARGET} with a tolerance: expected none, its steps are on the grid")
     changed = [port for changes in prepared.changes.values() for port, _ in changes]
     ends = [port for connection in system.connections for port in connection]
     recorded = [system.ports[name] for name in prepared.recorded]
@@ -223,7 +223,7 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 def _array(declared: str, values: np.ndarray) -> str:
     """Returns the definition of an array of C, which has at least one element."""
-    # bytes, because -0.0 equals 0.0 but has a bit of its own
+    # bytes, because -0.0 equals 0.0 but another bit
     rows = ", ".join(map(_number, values.ravel().tolist())) if any(values.tobytes()) else "0"
     return f"{declared}[{max(values.size, 1)}] = {{{rows}}};"
 

@@ -103,7 +103,7 @@ def _packed_task(system: System, prepared: PreparedRun, options: Mapping[str, An
             content = cloudpickle.dumps(value)
         except Exception as error:
             raise OrchestrationError(
-                f"{what} cannot be given to a process of its own: {error}; expected a function of its own "
+                f"{what} cannot be given to a separate process: {error}; expected a function of its "
                 "arguments and of plain data, or no timeout"
             ) from error
     return content
@@ -303,7 +303,7 @@ def _run(parent: Parent, folder: Path, fmus: contextlib.ExitStack) -> Recording:
         system, prepared, options = pickle.loads(parent.receive())
     except Exception as error:
         raise OrchestrationError(
-            f"what is to be run cannot be loaded in a process of its own: {type(error).__name__}: {error}; "
+            f"the run cannot be loaded in a separate process: {type(error).__name__}: {error}; "
             "expected signals that can be imported, or no timeout"
         ) from error
     threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()

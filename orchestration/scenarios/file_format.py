@@ -120,7 +120,7 @@ class ComponentTable(Table):
     """An FMU in the place of a base's FMU, whose variables may have other names."""
 
     fmu: str = ""
-    """As without a table; by default that of the base."""
+    """As without a table; by default the FMU of the base."""
     names: dict[str, str] = {}
     """Variable of the base or its interface -> variable of the FMU; "" for one that it has not."""
 
@@ -204,24 +204,24 @@ class ScenarioFile(Table):
         Annotated[list[Connection], Tag("list")] | Annotated[dict[str, Source], Tag("table")],
         LIST_OR_TABLE,
     ] = []
-    """["component.output", "component.input"] each, in place of those of the base; or a table that changes
-    those: "component.input" -> "component.output", { source, factor, offset } or false."""
+    """["component.output", "component.input"] each, in place of the connections of the base; or a table that
+    changes some: "component.input" -> "component.output", { source, factor, offset } or false."""
     experiment: ExperimentTable
     step_sizes: dict[str, float] = {}
     """Component -> its own step size [s], a multiple of the communication step size."""
     parameters: dict[str, Value] = {}
-    """ "component.variable" -> value; false removes that of the base, unless the parameter is Boolean."""
+    """ "component.variable" -> value; false removes the base's value, unless the parameter is Boolean."""
     inputs: dict[str, Value] = {}
-    """ "component.variable" -> constant value; false removes that of the base, as for parameters."""
+    """ "component.variable" -> constant value; false removes the base's value, as for parameters."""
     signals: dict[str, Annotated[Table, SIGNAL]] = {}
-    """ "component.variable" -> a function of time; false removes that of the base."""
+    """ "component.variable" -> a function of time; false removes the base's signal."""
     events: list[EventTable] = []
     faults: list[Annotated[Table, FAULT]] = []
     """Faults on connected inputs; several on one input act in their order."""
     record: Annotated[
         Annotated[list[str], Tag("list")] | Annotated[dict[str, bool], Tag("table")], LIST_OR_TABLE
     ] = []
-    """ "component.variable" of what is recorded, in place of those of the base; by default all outputs and
+    """ "component.variable" of each recorded signal, in place of the base's list; by default all outputs and
     signals; or a table that changes the list: "component.variable" -> true or false."""
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
     """Name -> function and its arguments; false drops a metric of the base."""
@@ -236,7 +236,7 @@ class Parameter(Table, extra="allow"):
 
     value: Value
     unit: str = ""
-    """Unit of the value, which is converted to that of the variable, if this has one."""
+    """Unit of the value, which is converted to the unit of the variable, if this has one."""
     source: str = ""
     """Where the value is from."""
 

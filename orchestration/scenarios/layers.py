@@ -237,7 +237,8 @@ def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
         return above
     if not below:
         raise ScenarioError(
-            f"{layer.at(('record',))}: record: expected a list; a table changes that of a base, there is none"
+            f"{layer.at(('record',))}: record: expected a list; "
+            "a table changes the list of a base, and there is no base"
         )
     _check_removed("record", above, below, layer)
     added = (name for name, is_recorded in above.items() if is_recorded and name not in below)

@@ -159,7 +159,7 @@ def _vehicle_panels(curves: Sequence[DrawnRun]) -> str:
         swings.append(f"{early.min():.1f} to {early.max():.1f} N ({curve.label})")
     return f"""\
 - (a) Depth, positive down. The grey band is 0.8 m with 5 % on each side.
-  A circle marks the time at which a run has settled, a dotted vertical line the published time.
+  A circle marks the settling time of a run, a dotted vertical line the published time.
   Circles differ in size, so that both show where they coincide.
 - (b) Thrust, the sum of the thrusters. Horizontal dotted lines: published holding thrust. Inset: first 20 s.
 - (c) Estimates of the uncertainty: theta above, sigma below.

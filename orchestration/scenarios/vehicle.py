@@ -95,7 +95,7 @@ class DisturbanceTable(ChangesTable):
     """A disturbance of a vehicle."""
 
     title: str = ""
-    """For readers; by default that of the case which names the disturbance."""
+    """For readers; by default the title of the case which names the disturbance."""
 
 
 class VehicleFile(Table):

@@ -15,7 +15,7 @@ from fmus.compliance.script import KINDS, Action, Reply, Script
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 
 _MORE = 4096  # bytes than the size of a serialised state
-_ORDER_0 = " of {} and order 0, which is none,"
+_ORDER_0 = " of {} and order 0, which does not exist,"
 _NOTHING = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
 _STATUS_KINDS = {  # fmi2StatusKind -> its name, and the type of its function
     0: ("fmi2DoStepStatus", ""),
@@ -32,7 +32,7 @@ def _finding(expected: str, words: str = "{reply.words}") -> str:
     )
 
 
-# what a state allows
+# calls that a state allows
 
 
 @behaviour_rule("3.2.3, 4.2.4")
@@ -110,7 +110,7 @@ def input_derivatives_in_each_state(probe: Probe) -> Iterator[Row]:
     sets = do.set_values(values.start_values(values.continuous_reals(probe, "input")))
     asked = do.played(probe, (do.begin, do.terminate, do.forbidden, sets))
     if ERROR in {reply.status for reply in asked.replies}:
-        refused = do.error(do.set_derivatives(0.0), _finding("error, as of fmi2SetReal"))
+        refused = do.error(do.set_derivatives(0.0), _finding("error, as fmi2SetReal returns"))
         yield from table.in_states(probe, "T", do.forbidden, refused)
 
 
@@ -123,7 +123,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[Row]:
     order 0, and input derivatives of an output. The instance can then be freed.
     """
     reference = do.refused_reference(probe)
-    finding = _finding("error", f" of the value reference {reference}, which is none,")
+    finding = _finding("error", f" of the value reference {reference}, which no variable has,")
     calls = [("CE", do.call("get", kind, [reference]), finding) for kind in KINDS]
     calls += [("M", do.call(f"fmi2Set{kind}", [reference], 1, [_NOTHING[kind]]), finding) for kind in KINDS]
     outputs = values.continuous_reals(probe, "output")[:1]

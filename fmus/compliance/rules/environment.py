@@ -15,7 +15,7 @@ from fmus.compliance.script import Action, CallError
 from fmus.fmi.binding import DISCARD
 
 _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
-_NAME = "system.subsystem[2].'instance with a name of its own'.part"
+_NAME = "system.subsystem[2].'instance with its name'.part"
 _CYCLES, _PARTS = 8, 4  # instances; parts of a second look, of as many
 LEAST_LEAK = 64  # bytes that each instance leaves
 _WARM_UP = 18  # instances before: memory that the heap keeps for reuse hides the first leaks

@@ -274,7 +274,7 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
     another = "where fmi2SetDebugLogging of another instance turned logging"
     late = late_lead(probe)
     again = do.reset, do.begin, *late, do.step()
-    # words; enabled categories; loggingOn at first; settings of logging, and those of another instance
+    # words; enabled categories; loggingOn at first; settings of logging, and the settings of another instance
     rows: list[tuple[str, Set[str | None], bool, Sequence[Action], Sequence[Action]]] = [
         ("where logging is on", everything, False, [on], []),
         ("where all categories are enabled by name", everything, False, [all_names], []),

@@ -81,7 +81,7 @@ def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
     """
     outputs = values.continuous_reals(probe, "output")
     read, inputs = do.read(outputs), values.start_values(values.settable_while_stepping(probe.fmu))
-    # what was computed before is not kept; 4.2.4 has no reading between setting and a step
+    # earlier results are not kept; 4.2.4 has no reading between setting and a step
     sets = [do.set_values(inputs)] if probe.fmu.is_model_exchange else []
     anew = do.exit_initialization_mode, *sets, read
 

@@ -172,7 +172,7 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     before, two = usual
     changes = {name: x - before[name] for name, x in two.items() if abs(x - before[name]) > NOISE * abs(x)}
     for n, run in zip(counts[1:], others, strict=True):
-        # what is the same to the last digit follows time alone
+        # variables with the same digits follow time alone
         errors = {name: abs(run[1][name] - two[name]) for name in changes if run}
         apart = {name: x for name, x in errors.items() if x > NOISE * abs(two[name])}
         if apart and all(x > _APART * abs(changes[name]) for name, x in apart.items()):

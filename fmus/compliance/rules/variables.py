@@ -23,7 +23,7 @@ _ELEMENT = re.compile(rf"(der\()?(.+){_INDICES}((?:,\d+)?\)?)")
 _VALUES = {"Boolean": is_true, "Real": number, "Integer": integer}
 _BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd")
 _ROUNDED = 1e-6  # relative: tools write factors with as few as seven digits
-_NO_LINE = re.compile(r"|.*[\r\n\t].*", re.DOTALL)  # what is no name by any convention
+_NO_LINE = re.compile(r"|.*[\r\n\t].*", re.DOTALL)  # no name by any convention
 
 
 def _not_structured(fmu: FmuFile) -> str:

@@ -32,12 +32,13 @@ def fit(
         list[str],
         typer.Option(
             metavar="NAME,NAME=LOW:HIGH",
-            help="Fit these parameters, within these limits; by default within those of the FMU.",
+            help="Fit these parameters, within these limits; by default the limits of the FMU.",
         ),
     ],
     changes: Changes = NO_CHANGES,
     step_size: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Communication step; by default that of the FMU.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Communication step; by default the step of the FMU."),
     ] = None,
     workers: Annotated[int, typer.Option(help="Dives that run at once.", min=1)] = usable_processors(),
     out: shared.OutFolder = Path("results"),

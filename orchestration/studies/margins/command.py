@@ -31,7 +31,7 @@ def margins(
     flavour: shared.FlavourOption = Flavour.NATIVE,
     changes: Changes = NO_CHANGES,
     signal: Annotated[
-        str, typer.Option(metavar="NAME", help="Judge this signal; by default that of a metric.")
+        str, typer.Option(metavar="NAME", help="Judge this signal; by default the signal of a metric.")
     ] = "",
     window: Annotated[
         tuple[float, float] | None,

@@ -189,7 +189,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             yield from (done.result for done in self.make(job, made))
 
     def _runs(self, runs: Iterable["ClosedLoopRun"]) -> Iterator[Run]:
-        """Yields the runs of many; those of one case in a row share its signals."""
+        """Yields the runs of many; successive runs of one case share its signals."""
         for _, group in groupby(runs, key=lambda run: (id(run.case), id(run.compute))):
             first, *others = group
             experiment = self.experiment(first.case)

@@ -78,7 +78,7 @@ def score(
     protocol_file: ProtocolOption = None,
     timeout: Annotated[
         float | None,
-        typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
+        typer.Option(metavar="S", help="End a run that takes longer; by default the protocol's."),
     ] = None,
     workers: WorkersOption = PROCESSORS,
 ) -> None:

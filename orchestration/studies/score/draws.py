@@ -1,8 +1,8 @@
 """Draws of a score: seeds and times of its cases, and the plants of `score --full`.
 
 They are what a controller could learn by heart, and are the same for every controller. The numbers of case k
-come from SeedSequence(seed, spawn_key=(0, k)) alone, one draw after another, those of plant i from
-SeedSequence(seed, spawn_key=(1, i)), in the order of the protocol: what is varied, then way, depth and hold
+come from SeedSequence(seed, spawn_key=(0, k)) alone, one draw after another, and of plant i from
+SeedSequence(seed, spawn_key=(1, i)), in the order of the protocol: varied values, then way, depth and hold
 of each depth. Who tunes has the cases as the file gives them.
 """
 

@@ -107,7 +107,7 @@ class Protocol:
         if vehicle.is_of_base:
             return self.tables.statement.strip()
         force = vehicle.actuators.largest_force
-        told = f" Controllers are told that its actuators give {force:g} N." if math.isfinite(force) else ""
+        told = f" Controllers know that its actuators give {force:g} N." if math.isfinite(force) else ""
         inertia = vehicle.values().heave[0]
         beside = (
             f"the tuned gains beside are for {ours}, carried to its inertia of {inertia:.3g} kg"

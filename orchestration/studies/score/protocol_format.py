@@ -50,7 +50,7 @@ class CaseTable(ChangesTable):
     judged: Pair = []
     """[start, end] in s of what metrics tell about; by default the run."""
     stop_time: float = 0.0
-    """End of the run [s]; by default that of the trajectory."""
+    """End of the run [s]; by default the end of the trajectory."""
     latest: Annotated[float, Field(ge=0.0)] = 0.0
     """Signals and faults of the case come later than they stand here, by up to this [s]: a score draws it."""
     disturbance: str = ""
@@ -122,8 +122,8 @@ class PlantsTable(Table):
     count: Annotated[int, Field(ge=2)]
     practice_seed: Annotated[int, Field(ge=0)]
     vary: dict[str, Annotated[Table, DRAWN]] = {}
-    """What is drawn -> the variables that it is the value of, and its distribution; by default what the
-    description of the vehicle varies."""
+    """Name of a drawn value -> the variables that take it, and its distribution; by default the ranges in the
+    description of the vehicle."""
     trajectory: TrajectoryTable
 
 
@@ -132,7 +132,7 @@ class ProtocolFile(Table):
 
     version: str
     statement: str
-    """What a score is about, for the top of every one."""
+    """Subject of a score, for the top of every one."""
     base: str
     """The shipped base of all cases."""
     time_limit: Annotated[float, Field(gt=0.0)]

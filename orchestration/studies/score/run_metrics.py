@@ -27,7 +27,7 @@ def judged(runs: Recording, compute: Callable[[Recording], Any], **of_signals: A
 def judged_signals(
     recording: Recording, columns: Sequence[str], actuators: Actuators, stride: int = 1
 ) -> Recording:
-    """Returns the recording with the signals that metrics are computed of (`SIGNALS`) in place of its own.
+    """Returns the recording with the signals that metrics use (`SIGNALS`) in place of its signals.
 
     columns: names of reference, depth and actuators. Of actuators that take a force, voltage and power are
     not a number. stride: of the communication points that are judged

@@ -65,7 +65,7 @@ class ProtocolInfo(Part):
     version: str
     """Version of the protocol."""
     statement: str
-    """What the metrics are evidence for, and what they are not."""
+    """Claims for which the metrics are evidence, and claims for which they are not."""
     metrics: dict[str, MetricInfo]
     """Metric -> its description."""
     cases: dict[str, CaseInfo]
@@ -160,7 +160,7 @@ class Row(Part):
 
 
 class PairedDifference(Part):
-    """A metric of one controller minus that of another one, over the same plants."""
+    """A metric of one controller minus the metric of another one, over the same plants."""
 
     scored: str
     """Name of the first controller."""
@@ -173,7 +173,7 @@ class PairedDifference(Part):
     median_difference: Number
     """Median over the pairs, in the unit of the metric."""
     interval: tuple[Number, Number]
-    """Confidence interval of the median difference; those of a metric hold together with 95 %."""
+    """Confidence interval of the median difference; all intervals of a metric hold together with 95 %."""
     margin: Number
     """A difference below it counts as none: 5 % of the lesser median."""
     verdict: Verdict

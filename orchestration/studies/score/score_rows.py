@@ -206,8 +206,8 @@ def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
 def microseconds(loop: ClosedLoop, case: Case) -> float:
     """Returns the processor time [us] of a communication step of the controller's FMU in the run of a case.
 
-    The FMU runs alone, with the inputs that it had in the case. Of the fastest of three runs; the time of a
-    tenth of the run is subtracted, which holds that of the start.
+    The FMU runs alone, with the inputs that it had in the case. The fastest of three runs counts; the
+    time of a tenth of the run is subtracted, with the start in it.
     """
     system, base = alone(loop, case)
     timeout = None if loop.timeout is None else _TIMED_RUN * loop.timeout

@@ -159,7 +159,7 @@ def over_plants(score: Score) -> ScoreTable | None:
         for statistic, (title, meaning) in _STATISTICS.items():
             cells = [Cell(getattr(runs.metrics[name], statistic)) for runs in plants]
             columns.append(_column(score, metric, cells, title=f"{metric.title} {title}", meaning=meaning))
-    title = f"{plants[0].count} plants, each with a trajectory of its own"
+    title = f"{plants[0].count} plants, each with another trajectory"
     return ScoreTable(title, score.rows, columns)
 
 

@@ -1,7 +1,7 @@
 """The tuning of one controller: its free gains, their cost, and the file of those found.
 
 The cost is the mean RMSE over some cases, each with another seed of noise, with bounds; or over the worst of
-some plants. What is beyond its bound costs `_SLOPE` for each time that the bound fits into the excess. That
+some plants. An excess over a bound costs `_SLOPE` for each time that the bound fits into it. That
 is steeper than the RMSE falls with total variation, so that the least cost is at a bound or within it. The
 bound on the delay margin is one more run, in which the measured depth is late by that much, as `scan` makes
 it late: it is to be quiet in hold.
@@ -319,7 +319,7 @@ def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any
     """
     best = tuning.best
     unchanged = {
-        f"controller.{name}": {"value": value, "source": "fixed: what the law is, not tuned"}
+        f"controller.{name}": {"value": value, "source": "fixed: part of the law, not tuned"}
         for name, value in fixed.items()
     }
     document = {

@@ -42,7 +42,7 @@ def test_an_fmu_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
     """Its arrays are no scalars for those who read a package."""
     settings = {"plant": str(fmi3_built["RovDepthPlant"])}
     chosen = scenario.load(scenario.find("nominal-l1"), settings=settings)
-    refused = "with plant, RovDepthPlant.fmu, of FMI 3.0: expected FMI 2.0, as of l1-depth build"
+    refused = "with plant, RovDepthPlant.fmu, of FMI 3.0: expected FMI 2.0, as l1-depth build writes it"
     with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* {refused}"):
         ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source)
     assert list(tmp_path.iterdir()) == []

@@ -73,7 +73,7 @@ def test_two_fmus_with_one_model_identifier_are_refused(tmp_path: Path) -> None:
 
 def test_a_tolerance_is_refused(built: Mapping[str, Path]) -> None:
     assert refusal(ScenarioError, {"plant": built["ExamplePlant"]}, tolerance=1e-4) == (
-        "a WebAssembly program with a tolerance: expected none, its steps are those of the grid"
+        "a WebAssembly program with a tolerance: expected none, its steps are on the grid"
     )
 
 

@@ -121,7 +121,7 @@ def test_a_change_that_changes_nothing_or_is_wrong_is_refused(
 
 def test_a_table_of_records_needs_a_list_to_change(tmp_path: Path) -> None:
     base = BASE.replace('record = ["a.y", "b.u"]\n', "")
-    with pytest.raises(ScenarioError, match=r"record: expected a list; a table changes that of a base"):
+    with pytest.raises(ScenarioError, match=r"record: expected a list; a table changes the list of a base"):
         load(tmp_path, '[record]\n"a.y" = true\n', base)
 
 
