@@ -32,6 +32,7 @@ AT_WORK = {
     "verify {fmu}": "fmus.fmi.description.describe",
     "inspect my.fmu": "fmus.fmi.description.describe",
     "cache": "fmus.store.entries",
+    "explain faults": "orchestration.cli.explain.sections",
     "scenarios": "orchestration.scenarios.layers.shipped",
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "live nominal-l1 --out live.html": "orchestration.report.live_page.live_page",
