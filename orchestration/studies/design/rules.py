@@ -288,7 +288,8 @@ def _text(ends: Range) -> str:
 def _l1_at(data: VehicleData, conditions: Conditions, w_m: float, enough: float) -> L1Design:
     """Returns the design at a bandwidth; without noise and margin if no filter satisfies the norm."""
     inertia, middle = data.assumed
-    damping = min(middle, 2.0 * inertia * w_m)  # so that k_m2 is not negative
+    # more damping than this would make k_m2 negative
+    damping = min(middle, 2.0 * inertia * w_m)
     made = L1Design(inertia, damping, w_m)
     lipschitz = lipschitz_constant(data, inertia, damping, made.state_feedback, 2.0 * conditions.speed)
     a_m, b = np.array(made.a_m), np.array([0.0, 1.0 / inertia])
@@ -322,7 +323,8 @@ def _l1_at(data: VehicleData, conditions: Conditions, w_m: float, enough: float)
 
 def _pid_at(data: VehicleData, conditions: Conditions, w_0: float, enough: float) -> PidDesign:
     inertia, middle = data.assumed
-    damping = min(middle, 3.0 * inertia * w_0)  # so that k_d is not negative
+    # more damping than this would make k_d negative
+    damping = min(middle, 3.0 * inertia * w_0)
     alpha = observer_alpha(3.0 * w_0, data.period)
     made = PidDesign(inertia, damping, w_0, alpha)
     noise = made.gains[2] * rate_noise(alpha, data.period, data.noise)

@@ -113,6 +113,7 @@ class LeastSquares:
         central: of second order, beyond limits too; else from the point that was evaluated last, which is `x`
         """
         steps = self.difference * np.where(x < 0.0, -1.0, 1.0) * np.maximum(np.abs(x), 1.0)
+        # a search stays within its limits: at a limit the difference is taken to the other side
         if not central:
             low, high = self._limits
             steps = np.where((x + steps < low) | (x + steps > high), -steps, steps)
@@ -130,11 +131,15 @@ class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an err
 
 
 LEVEL = 0.95
-_NOT_DETERMINED = 1.0  # standard deviation over the value, of a combination that the data do not determine
-_ROUNDING = 1e-6  # of the largest singular value: below it a derivative is an error of its differences
-_SHARE = 0.01  # of the square of a direction: a parameter with less is no part of it
+# standard deviation over the value, of a combination that the data do not determine
+_NOT_DETERMINED = 1.0
+# of the largest singular value: below it a derivative is only the rounding of its differences
+_ROUNDING = 1e-6
+# of the square of a direction: a parameter with less is no part of it
+_SHARE = 0.01
 _AT_A_LIMIT = 1e-6  # of the coordinate
-_ROUGH = 0.25  # of the rise of the sum of squares that the linear model predicts at the ends of an interval
+# of the rise of the sum of squares that the linear model predicts at the ends of an interval
+_ROUGH = 0.25
 
 
 @dataclass(frozen=True)

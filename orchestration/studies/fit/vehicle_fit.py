@@ -43,7 +43,8 @@ from orchestration.system.experiment import Experiment, suggested_times
 from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import System
 
-_DIFFERENCE = 1e-5  # of the coordinates: about 1e-4 of a value between limits of seven decades
+# of the coordinates: about 1e-4 of a value between limits of seven decades
+_DIFFERENCE = 1e-5
 _EVALUATIONS = 100  # for each free parameter
 _MOST_STEPS = 2e7  # of a dive: four days at 0.02 s
 # of each dive, to which the search fits first: errors of the depth grow with time and cause local minima
@@ -176,6 +177,7 @@ class _Runs:
                 raise OrchestrationError(f"{got}: expected at most {_MOST_STEPS:g}; {UNIT_OF_TIMES}")
         self._experiments = [
             Experiment(
+                # a quotient that rounding lifts above an integer must not add a step
                 stop_time=step * max(1, math.ceil(dive.times[-1] / step * (1.0 - 1e-12))),
                 step_size=step,
                 signals={PREFIX + name: signal for name, signal in dive.commands.items()},
@@ -258,6 +260,7 @@ def fit_vehicle(
     with LocalRuns(workers, expected=most * len(dives)) as local_runs:
         make = partial(in_order, local_runs)
         runs = _Runs(vehicle, dives, free, step_size, make)
+        # the variance of the residuals, and so every interval, needs readings beyond the parameters
         if count <= len(runs.free):
             raise OrchestrationError(
                 f"{count} readings: expected more than the {len(runs.free)} free parameters"

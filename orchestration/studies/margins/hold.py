@@ -21,7 +21,8 @@ from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signals import values_at
 
 QUIET = 3e-3  # m; largest standard deviation while holding, docs/explanation/margins.md
-MOVED = 0.04  # m, the band of the paper's settling time; a mean farther away holds something else
+# m, the band of the paper's settling time: a run with a mean farther away holds another depth
+MOVED = 0.04
 _JUDGED = (
     0.4  # of the time for which the reference is constant, its last part: 100 s to 140 s of 40 s to 140 s
 )
@@ -75,7 +76,8 @@ def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
         raise ScenarioError(f"{chosen.name}: {reference} is no signal: expected --signal and --window")
     times = experiment.time_grid()
     changes = np.flatnonzero(np.diff(values_at(experiment.signals[reference], times)))
-    edges = np.concatenate([[0], changes + 1, [len(times) - 1]])  # a stretch begins where a change ends
+    # a stretch begins where a change ends
+    edges = np.concatenate([[0], changes + 1, [len(times) - 1]])
     ends = np.concatenate([changes, [len(times) - 1]])
     begins = edges[:-1]
     longest = int(np.argmax(times[ends] - times[begins]))
@@ -186,7 +188,8 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         experiment = replace(self._experiment, faults=(*self._experiment.faults, *faults))
         experiment = with_values(experiment, parameters)
         if parameters:
-            prepare(self._job.system, experiment)  # raises for one that does not fit, which is no loss
+            # a parameter that does not fit raises here: as a failed run it would count as a lost hold
+            prepare(self._job.system, experiment)
         (done,) = self._make(self._job, [Run(0, experiment, self._reduce)])
         if isinstance(done.result, Failure):
             if done.result.cause:

@@ -184,7 +184,8 @@ def _vehicle(
         assumed = _pair(controller, "thruster_scale" if actuators.table else "thruster_gain")
         gains = tuple(0.5 * gain / divisor for gain, divisor in zip(vehicle.gains, assumed, strict=False))
     lags = vehicle.lags
-    if len(lags) != len(gains):  # of a vehicle without gains, whose force has one lag
+    # the force of a vehicle without gains has one lag
+    if len(lags) != len(gains):
         lags = (max(lags, default=0.0),) * len(gains)
     return Plant(((0.0, 1.0), (0.0, -damping / inertia)), (0.0, 1.0 / inertia), gains, lags)
 

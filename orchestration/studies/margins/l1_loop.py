@@ -141,7 +141,8 @@ def _control(law: Law) -> list[Equation]:
             Equation({"u_a": 1.0}, {"p1": 3.0 * w**2, "p2": w**3}),
         ]
     y = {"m1": law.c[0], "m2": law.c[1]}
-    if law.integral_gain:  # without it the integral would be a pole at 0 that nothing observes
+    # without the gain the integral would be a pole at 0 that nothing observes
+    if law.integral_gain:
         rows.append(Equation({"integral": 1.0}, y))
     integral = {"integral": -law.integral_gain} if law.integral_gain else {}
     proportional = {name: -law.proportional_gain * gain for name, gain in y.items()}

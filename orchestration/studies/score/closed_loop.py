@@ -197,6 +197,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             # limits change with the run; the force is of the unchanged vehicle, as controllers receive it
             ranges = vehicle.values(experiment.parameters).actuators.ranges
             actuators = replace(vehicle.actuators, ranges=ranges)
+            # metrics of runs with unlike steps compare only at the same points
             stride = max(1, round(_judged_period(self.protocol.tables.base) / experiment.step_size))
             of_signals = {"columns": tuple(experiment.record), "actuators": actuators, "stride": stride}
             reduce = partial(judged, compute=first.compute, **of_signals)
@@ -206,6 +207,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
 
     def scenario(self, case: Case) -> Scenario:
         """Returns the case as a scenario with this controller, without the values and gains of a run."""
+        # cases with equal layers share a scenario; a mapping cannot be a key itself
         key = repr(case.layer)
         if key not in self._scenarios:
             self._scenarios[key] = self._loaded(case)
@@ -249,6 +251,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
         for fmu in loaded.system.components.values():
             built(str(fmu))
         check_vehicle(self.protocol)
+        # the parameters that a base gives its own controller do not apply to another one
         inherited = {
             name: value
             for name, value in loaded.experiment.parameters.items()
@@ -268,6 +271,7 @@ class ClosedLoop(AbstractContextManager["ClosedLoop"]):
             signals[self.controller.variable("depth_reference")] = Ramps(case.trajectory)
         changed = map(self.protocol.vehicle.variable, case.layer["signals"])
         moved = {name: Later(signals[name], case.later) for name in changed if name in signals}
+        # only disturbances and faults come later: the reference is where metrics expect it
         moved.pop(self.controller.variable("depth_reference"), None)
         self._drive_rates(loaded, inputs, signals)
         faults = [replace(f, start=f.start + case.later, end=f.end + case.later) for f in experiment.faults]

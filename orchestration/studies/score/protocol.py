@@ -155,7 +155,8 @@ class Protocol:
             asked = [case.disturbance for case in self.tables.cases.values() if case.disturbance]
             missing = [name for name in asked if name not in vehicle.described.disturbances]
             return f"{vehicle.name} has no disturbance {', '.join(dict.fromkeys(missing))}{expected}"
-        if vehicle.is_of_base:  # a name that it lacks is a mistake: `check_vehicle`
+        # a name that the base's vehicle lacks is a mistake, which `check_vehicle` refuses
+        if vehicle.is_of_base:
             return ""
         layer = self._layer(name)
         named = [n for part in _NAMING for n in layer.get(part, {})]

@@ -36,7 +36,8 @@ OVER_PLANTS = (*COMPARED, "settling_time", "overshoot", "breach")
 
 _MOST_ENDINGS = 3  # of a controller's process
 _REPETITIONS = 3
-_TIMED_RUN = 10.0  # timeouts for a run that is timed, which has more steps than a case
+# timeouts for a run that is timed, which has more steps than a case
+_TIMED_RUN = 10.0
 Progress = Callable[[int], object]
 RowTraces = tuple[Row, dict[str, Trace]]
 """A row, and the traces of its runs by case."""
@@ -62,7 +63,8 @@ class LimitedRuns:
     def _noted(self, made: Iterator[Done]) -> Done:
         try:
             done = next(made)
-        except SweepError as error:  # its process cannot even start
+        # a process that cannot start once will not start for the other runs
+        except SweepError as error:
             self._refusal = str(error)
             return Done(Failure(self._refusal, ENDED))
         cause = done.result.cause if isinstance(done.result, Failure) else ""
@@ -164,6 +166,7 @@ def _value_or(default: Any, function: Callable[[ClosedLoop, Case], Any], loop: C
     """Returns what a function of the loop returns, or the default where its run fails."""
     try:
         return function(loop, case)
+    # an interrupted score must end, not fill its rows with defaults
     except ClosedError:
         raise
     except OrchestrationError:

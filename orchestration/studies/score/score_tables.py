@@ -26,7 +26,8 @@ _PADDING = 3
 _MOST_ROWS = 20  # in a summary, the scored controllers first
 _TEXTS = 3  # first columns of the differences
 _OVERVIEW = ("rmse", "total_variation")
-_FACTORS = (1.1, 2.0)  # of the least RMSE: as good but for little, and not out of the question
+# factors of the least RMSE: almost as good, and still acceptable
+_FACTORS = (1.1, 2.0)
 _STEP = MetricInfo(
     title="Run step",
     unit="ms",

@@ -271,6 +271,7 @@ class SeedSearch:
 
     def tell(self) -> None:
         """Takes the costs of the generation, unless the evaluations have cut it short."""
+        # CMA-ES updates its distribution by whole generations only
         if len(self._points) < self._strategy.population_size:
             return
         costs = [self._cost(row) for row in self.rows[-len(self._points) :]]

@@ -39,9 +39,11 @@ from orchestration.studies.score.run_metrics import declared, failures, metrics_
 from orchestration.studies.score.tune import Evaluate, Problem, SearchResult, Tuning, with_units
 from orchestration.system.prepared_run import prepare
 
-LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
+# cost of a run that ends early; finite, so that the search goes on
+LARGEST = 1000.0
 _SLOPE = 10.0
-WORST = 0.2  # of the plants, of whose costs the mean is taken: CVaR of 5 % of 20 would be a single plant's
+# share of the plants whose costs are averaged: CVaR of 5 % of 20 plants would be the cost of a single one
+WORST = 0.2
 LARGEST_CHANGE = 0.02  # of the error, when the step is halved
 SHORTEST_STEP = 1.25e-3  # s, that a tuning goes to
 
@@ -102,6 +104,7 @@ def at_enough_steps(gains: Gains, controller: Controller, protocol: Protocol) ->
 
     That is by at most `LARGEST_CHANGE`, or the step is `SHORTEST_STEP`.
     """
+    # "not <=" rather than ">": a change that is not a number halves the step, too
     while (
         step_of(controller, protocol) > SHORTEST_STEP
         and not abs(change_at_half_the_step(gains, controller, protocol)) <= LARGEST_CHANGE
@@ -173,6 +176,7 @@ def costs(loop: ClosedLoop, gains: Sequence[Gains], every_seed: bool = False) ->
     computed = [(case, partial(metrics_of, metrics=declared(case, protocol, names))) for case in cases]
     late = [_late_run(loop, table.bounds[DELAY_MARGIN])] if DELAY_MARGIN in table.bounds else []
     groups = [gains[first : first + LANES] for first in range(0, len(gains), LANES)]
+    # the gains of a group follow each other in every case, so that their runs step together in vectors
     pairs = [*computed, *late]
     runs = [ClosedLoopRun(case, how, one) for group in groups for case, how in pairs for one in group]
     results = loop.results(runs)
@@ -188,6 +192,7 @@ def _cost(protocol: Protocol, cases: Sequence[Case], results: Sequence[Any]) -> 
         if isinstance(result, Failure):
             return {"cost": LARGEST, "failure": result.reason}
     metrics: dict[str, list[Metrics]] = {}
+    # the result of the late run, if there is one, comes after the cases
     for case, of_run in zip(cases, results, strict=False):
         metrics.setdefault(case.name, []).append(of_run)
     unrest = results[len(cases)] if len(results) > len(cases) else 0.0
