@@ -2,7 +2,6 @@
 
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ _DID_NOT_RUN = """\
 fmi4c stepped `RovDepthPlant`: its depth was this master's to the last bit. PyFMI 2.5, OMSimulator 3.0.0,
 FMI++, CoFMPy 1.0.0, energysim 2.1.9.1, syssimx 0.4.3 and PyCosimLibrary 0.0.5 did not run the two
 FMUs of the loop (November 2026)."""
-_RUNS = "## What was run\n\nVersions are those that this page was made with. `Drift` is a block of the test."
+_RUNS = "## What was run\n\nVersions when this table was written, in November 2026. `Drift` is a block of the test."
 
 Table = Mapping[str, Mapping[str, Any]]
 
@@ -79,11 +78,8 @@ def _names(fmus: Any) -> str:
 def _how(tool: Mapping[str, Any], run: Mapping[str, Any]) -> str:
     if "by_hand" in run:
         return f"by hand: {run['by_hand']}"
-    distribution = tool["distribution"]
-    try:
-        return f"{distribution} {version(distribution)}: `{run['test'].replace('::', '`<br>`')}`"
-    except PackageNotFoundError:  # where the site is made without the extra `test`
-        return f"{distribution}: `{run['test'].replace('::', '`<br>`')}`"
+    test = run["test"].replace("::", "`<br>`")
+    return f"{tool['distribution']} {tool['version']}: `{test}`"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

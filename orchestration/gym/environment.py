@@ -75,10 +75,17 @@ class _Agent:
 
 
 class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
-    """One environment of a task. `reset(seed=...)` makes the episodes that follow the same again.
+    """One environment of a task; `reset(seed=...)` makes the following episodes repeat.
 
-    Raises SystemDefinitionError for a name that is unknown, or an action without bounds; in an episode what
-    `Run.step` raises.
+    Parameters
+    ----------
+    task : Task
+        The system and the agent's place in it, as from `task_of`.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For an unknown name, or an action without bounds; in an episode the errors of `Run.step`.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # as its base declares it
@@ -97,7 +104,18 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
         return self._observation(), self._info()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Acts once: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
+        """Takes an action, and steps.
+
+        Parameters
+        ----------
+        action : array, shape (actions,)
+            From -1 to 1, scaled to the bounds of the inputs.
+
+        Returns
+        -------
+        tuple
+            Observation, reward, whether an FMU terminated, whether the stop time is reached, {"time": s}.
+        """
         values = self._own_units(action, self.action_space)
         self._runs.act(*values.tolist())
         reward = 0.0
@@ -120,10 +138,18 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
 class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
     """Many environments of a task in one process; each that is done is reset by the next step.
 
-    where: "auto", in vectors, with the same values, where they can and their FMUs are compiled for that;
-    "vectors" compiles them, and raises EnsembleError where they cannot; "processor", one by one; "gpu", on
-    the GPU of this machine: observations and rewards are then arrays of CuPy, and actions those or any others
-    with DLPack on that GPU, such as arrays of PyTorch and JAX
+    Parameters
+    ----------
+    task : Task
+        As for `FmuEnv`.
+    num_envs : int
+        Number of environments.
+    where : str
+        "auto": in vectors, with the same values, if the FMUs allow it and are compiled for it.
+        "vectors": compiles them; EnsembleError if that is impossible.
+        "processor": one by one.
+        "gpu": on the GPU of this machine. Observations and rewards are arrays of CuPy; actions are such
+        arrays or others with DLPack on that GPU, such as arrays of PyTorch and JAX.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012

@@ -47,11 +47,20 @@ class Ensemble(LoadedSystem):
     The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's cache.
     A context manager, which frees the FMUs that the initial values are taken from.
 
-    instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
-    device: what runs the instances in place of this processor, as `device_of("gpu")` of
-    `orchestration.many.places`: elementary functions then come from the device
+    Parameters
+    ----------
+    system : System
+        Native FMUs that `l1-depth build` wrote for this user.
+    instructions : str, optional
+        "x86-64-v4", "x86-64-v3" or "portable"; by default the best of this processor.
+    device : Device, optional
+        Runs the instances in place of this processor, as `device_of("gpu")` of `orchestration.many.places`.
+        Elementary functions then come from the device.
 
-    Raises EnsembleError for any other FMU, or without a compiler.
+    Raises
+    ------
+    EnsembleError
+        For any other FMU, or without a compiler.
     """
 
     def __init__(self, system: System, instructions: str | None = None, device: Device | None = None) -> None:
@@ -84,11 +93,25 @@ class Ensemble(LoadedSystem):
     def run(self, experiments: Sequence[Experiment]) -> EnsembleRecording:
         """Runs an instance for each experiment and returns their recordings.
 
-        experiments: at least one; they differ in values of the same parameters, inputs and signals alone
+        Parameters
+        ----------
+        experiments : sequence of Experiment
+            At least one. They differ only in values of the same parameters, inputs and signals.
 
-        An instance that cannot begin, or cannot go on, is in `failures` of the result and disturbs no other.
-        Raises SystemDefinitionError for what does not fit, EnsembleError for what only a `Simulator` can run,
-        OrchestrationError if no instance can begin.
+        Returns
+        -------
+        EnsembleRecording
+            Values of shape (instances, points). An instance that cannot begin or continue is in its
+            `failures`; the others are not affected.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For experiments that do not fit the system or each other.
+        EnsembleError
+            For an experiment that only a `Simulator` can run.
+        OrchestrationError
+            If no instance can begin.
         """
         with self._begin_run():
             run = self._start(experiments)
@@ -96,10 +119,24 @@ class Ensemble(LoadedSystem):
             return run.recording()
 
     def start(self, experiments: Sequence[Experiment], external: Sequence[str]) -> SteppedEnsemble:
-        """Starts one instance per experiment of `run`; the caller steps them.
+        """Starts one instance per experiment; the caller steps them.
 
-        external: inputs that the caller sets between the steps, as in `Simulator.start`
-        Raises what `run` raises; OrchestrationError if an instance cannot begin.
+        Parameters
+        ----------
+        experiments : sequence of Experiment
+            As for `run`.
+        external : sequence of str
+            Inputs that the caller sets between the steps, as in `Simulator.start`.
+
+        Returns
+        -------
+        SteppedEnsemble
+            The instances, at the start time.
+
+        Raises
+        ------
+        OrchestrationError
+            If an instance cannot begin; also the errors of `run`.
         """
         with self._begin_run():
             run = self._start(experiments, tuple(external))

@@ -26,16 +26,32 @@ def run_many(
 ) -> Iterator[Any]:
     """Yields the recording of each experiment, or a `Failure` with the reason, in the order given.
 
-        experiments = [replace(experiment, parameters={"plant.mass": mass}) for mass in masses]
-        for recording in run_many(system, experiments): ...
+    Parameters
+    ----------
+    system : System
+        The FMUs and their connections.
+    experiments : iterable of Experiment
+        The runs, in their order.
+    reduce : callable, optional
+        Computes results where the runs are made, so that no recording is kept: it receives a recording of
+        many runs, with a first axis of runs, and returns one result for each.
+    where : str
+        "auto", "processor", "vectors", "processes", "gpu" or the address of a Dask scheduler.
+    workers : int, optional
+        Runs at once on this machine; by default one for each processor.
+    timeout : float, optional
+        Longest time of a run [s].
 
-    reduce: computes a result in place of each recording where the run is made. It takes a recording of many
-    runs, with a first axis of runs, and returns a result for each
-    where: of `place_of`
-    workers: runs at once on this machine, by default as many as there are processors
-    timeout: longest time [s] of a run
-    Raises what `simulate` raises before a run, for the first experiment; EnsembleError with "vectors" or
-    "gpu" where these cannot make the runs.
+    Yields
+    ------
+    Recording or Failure
+        One for each experiment; with `reduce` its result in place of the recording.
+
+    Raises
+    ------
+    EnsembleError
+        With "vectors" or "gpu", if these cannot make the runs; also the errors of `simulate` before a run,
+        for the first experiment.
     """
     reduce, all_experiments = reduce or recordings_of, list(experiments)
     if not all_experiments:

@@ -296,9 +296,22 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Returns the metrics that a scenario declares: a float of one run, of many an array, shape (runs,).
 
-    declared: name -> {function = ..., its arguments, perhaps a unit}
-    Where an FMU terminated the run, a metric that needs a later time is not a number.
-    Raises ScenarioError for a metric that cannot be computed, or is infinite, in any of the runs.
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    declared : mapping
+        Name -> {"function": ..., its arguments, perhaps a unit}, as `Scenario.metrics`.
+
+    Returns
+    -------
+    dict
+        Name -> value. If an FMU terminated the run, a metric that needs a later time is not a number.
+
+    Raises
+    ------
+    ScenarioError
+        For a metric that cannot be computed, or is infinite, in any of the runs.
     """
     return {name: _one(recording, name, call) for name, call in declared.items()}
 

@@ -51,9 +51,26 @@ __all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "shipped"]
 class Scenario:
     """A scenario: a system, its experiment and the metrics.
 
-    resolved: the same as one self-contained file; files: those that it was read from, the uppermost first
-    arguments: of a command line that takes a scenario
-    from_actuators: "component.parameter" -> value that follows from the actuators of another vehicle
+    Attributes
+    ----------
+    name, title : str
+        Name of the file, and title in results and figures.
+    system : System
+        The FMUs and their connections.
+    experiment : Experiment
+        Times, values, signals, events, faults and recorded variables.
+    metrics : mapping
+        Name -> function, its arguments and perhaps a unit.
+    resolved : mapping
+        The scenario as one file without a base.
+    sweep : mapping
+        The table `sweep`, empty if there is no sweep.
+    files : tuple of TomlFile
+        The files that were read, the uppermost first.
+    arguments : tuple of str
+        Arguments with which a command line loads the scenario again.
+    from_actuators : mapping
+        "component.parameter" -> value that follows from the actuators of another vehicle.
     """
 
     name: str

@@ -23,15 +23,28 @@ Draw = Callable[[np.random.Generator], Value]
 class Task:
     """A system, its experiment, and what an agent does and sees there.
 
-    actions: inputs that the agent sets, in the order of its action; nothing else drives them
-    observations: names of variables and of `signals`, in the order of its observation
-    reward: of a communication step, from the values before and after it, name -> value, and its size [s]
-    reads: variables and `signals` that the reward needs beside the observations
-    bounds: name -> (low, high), in place of the FMU's min and max; an action of -1..1 is scaled to them
-    signals: functions of time that drive no FMU, such as a reference
-    seeds: parameters, such as the seed of a noise, for which each episode draws an integer below 2^31 - 1000
-    vary: parameter -> function of a random generator that draws its value for an episode
-    steps: communication steps for one action, whose rewards add up
+    Attributes
+    ----------
+    system, experiment : System, Experiment
+        The FMUs, and an episode with them.
+    actions : sequence of str
+        Inputs that the agent sets, in the order of its action; nothing else drives them.
+    observations : sequence of str
+        Names of variables and of `signals`, in the order of its observation.
+    reward : callable
+        Reward of a communication step, from the values before and after it (name -> value) and its size [s].
+    reads : sequence of str
+        Variables and `signals` that the reward needs beside the observations.
+    bounds : mapping
+        Name -> (low, high), in place of the FMU's min and max; an action of -1..1 is scaled to them.
+    signals : mapping
+        Functions of time that drive no FMU, such as a reference.
+    seeds : sequence of str
+        Parameters, such as the seed of a noise, for which each episode draws an integer below 2^31 - 1000.
+    vary : mapping
+        Parameter -> function of a random generator that draws its value for an episode.
+    steps : int
+        Communication steps for one action; their rewards are summed.
     """
 
     system: System

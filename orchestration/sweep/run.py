@@ -75,10 +75,30 @@ def run_sweep(
     restart: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> Path:
-    """Runs the samples of a scenario with a table `sweep` that a folder does not have yet; see `sweep`.
+    """Runs the samples of a scenario with a table `sweep` that a folder does not have yet.
 
-    workers: runs at once, by default as many as there are processors
-    Returns the path of the table. Raises SweepError.
+    Parameters
+    ----------
+    scenario : Scenario
+        With a table `sweep`.
+    folder : Path
+        Folder of the results; finished samples in it are kept.
+    workers : int, optional
+        Runs at once; by default one for each processor.
+    restart : bool
+        Whether to discard finished samples.
+    progress : callable
+        Called with the number of samples that were finished since the last call.
+
+    Returns
+    -------
+    Path
+        Path of the table, NAME.sweep.parquet.
+
+    Raises
+    ------
+    SweepError
+        For a folder with another sweep of this name, or a second sweep at the same time.
     """
     return sweep(
         plan_of(scenario),

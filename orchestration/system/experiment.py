@@ -52,7 +52,15 @@ InitialisationName = Initialisation | Literal["automatic", "fixed-point", "newto
 
 @dataclass(frozen=True)
 class Event:
-    """An event: variables to set at `time` [s]; if an FMU cannot step to it, at its next point."""
+    """An event: variables that are set at a time.
+
+    Attributes
+    ----------
+    time : float
+        Time [s]. If an FMU cannot step to it, its next communication point is taken.
+    values : mapping
+        "component.variable" -> value.
+    """
 
     time: float
     values: Mapping[str, Value]
