@@ -32,7 +32,7 @@ _DID_NOT_RUN = """\
 fmi4c stepped `RovDepthPlant`: its depth was this master's to the last bit. PyFMI 2.5, OMSimulator 3.0.0,
 FMI++, CoFMPy 1.0.0, energysim 2.1.9.1, syssimx 0.4.3 and PyCosimLibrary 0.0.5 did not run the two
 FMUs of the loop (November 2026)."""
-_RUNS = "## What was run\n\nVersions when this table was written, in November 2026. `Drift` is a block of the test."
+_RUNS = "## What was run\n\nVersions of November 2026. `Drift` is a block of the test."
 
 Table = Mapping[str, Mapping[str, Any]]
 
