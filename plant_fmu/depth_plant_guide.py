@@ -29,16 +29,16 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
     tuning=(
         "For another vehicle: weight, net_weight, waterplane_area and the size's added mass in inertia;"
         " then linear_damping and quadratic_damping from a descent at constant thrust.",
-        "thruster_gain, thruster_dead_zone, thruster_voltage_limit and thruster_lag one by one, or"
-        " thruster_ideal to leave all but the gain out.",
+        "thruster_gain, thruster_dead_zone, thruster_voltage_limit and thruster_lag singly; or"
+        " thruster_ideal, which keeps only gain and efficiency.",
         "More of a thruster, all off at the start values: thruster_reverse_ratio, r for negative voltages;"
         " thruster_curvature c, for a force that grows with the square of the voltage, with"
         " thruster_curve_voltage v_c, where line and parabola meet; thruster_rate_limit R, of the force, as"
         " motors and their drivers have it; thruster_full_depth d_f, the depth from which a propeller draws"
         " no air, with thruster_depth d_t below the vehicle's top.",
         "A measured thruster: thruster_tabulated, with thruster_table_voltage and thruster_table_force, a"
-        " line between their points, for thruster_scale n thrusters. Points that a shorter table lacks go"
-        " on its lines. The start values describe a T200, far too strong for this vehicle.",
+        " line between their points, for thruster_scale n thrusters. For a shorter table, put"
+        " the unused points on its lines. The start values describe a T200, far too strong for this vehicle.",
         "sensor_ideal reports the depth, with the pressure head of waves, at every instant; otherwise period,"
         " noise, bias, drift, resolution and delay act, and sensor_seed chooses the noise: one seed gives one"
         " sequence, on every platform.",
@@ -48,7 +48,7 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
     limits=(
         "Heave alone: roll and pitch are inputs, and nothing else of the vehicle moves.",
         "The paper gives neither inertia, damping, thruster nor sensor data: see the column Source for"
-        " what is published, estimated or guessed. The plant validates no vehicle.",
+        " what is published, estimated or guessed. The model was not compared with a real vehicle.",
         "Sides are taken as vertical where the vehicle breaks the surface; no bottom, no tether.",
         "Waves act as on a small body below them, by linear theory: the surface where the vehicle emerges"
         " stays level, and forces of second order, such as the mean pull towards the surface, are left out.",

@@ -53,7 +53,7 @@ pitch      sampled as the depth is, with white noise
         " differ by 2.5 N.",
         "internal_step may exceed neither sensor_period nor the inverse of the largest rate of"
         " thruster_transfer; sensor_delay not seven periods.",
-        "Moments, levers and damping of pitch are guesses. The plant validates no vehicle.",
+        "Moments, levers and damping of pitch are guesses. The model was not compared with a real vehicle.",
     ),
     sources=depth_plant_guide.GUIDE.sources,
     experiment=EXPERIMENT,

@@ -73,7 +73,7 @@ class ThrusterParameters:
 
     thruster_ideal: bool = variable(
         False,
-        "Leaves nothing of the thrusters but gain and efficiency: no dead zone, saturation or lag",
+        "Keeps only gain and efficiency of the thrusters: no dead zone, saturation or lag",
         variability="fixed",
     )
     thruster_gain: Pair = variable(
@@ -137,7 +137,7 @@ class ThrusterParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: 12 V to -12 V for pulses of 1100 us to 1900 us",
+        source="chosen: 12 V stands for a pulse of 1100 us, -12 V for 1900 us",
     )
     thruster_table_force: Table = variable(
         T200_FORCE,

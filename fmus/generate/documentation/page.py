@@ -126,7 +126,8 @@ def _wiring(block: Block, connected: Sequence[Connection]) -> str:
     ways = {True: "comes from", False: "goes to"}
     rows = [(one.own, ways[one.is_input], one.other, ", ".join(one.fmus)) for one in connected]
     table = _table(f"Variables of {block.name} and of FMUs that fit it", _CONNECTED, rows)
-    return f"<h2>Connect these two</h2>\n{table}\n<p>Inputs that nothing drives keep their start values.</p>"
+    rest = "<p>Inputs that nothing drives keep their start values.</p>"
+    return f"<h2>Connections with other FMUs</h2>\n{table}\n{rest}"
 
 
 def _parameters(block: Block, reals_only: bool) -> str:
@@ -137,7 +138,7 @@ def _parameters(block: Block, reals_only: bool) -> str:
     places = {name: words.index(plain) for name, plain in places.items() if plain in words}
     first = sorted(places, key=places.__getitem__)
     others = [name for name in parameters if name not in places]
-    tables = {"Set these first, in this order": first, "Other parameters" if first else "Parameters": others}
+    tables = {"Parameters in the order above": first, "Other parameters" if first else "Parameters": others}
     parts = [_list(map(escape, block.guide.tuning))]
     for caption, names in tables.items():
         if names:

@@ -80,8 +80,8 @@ def _pairs(source: Block, target: Block) -> Iterator[tuple[str, str]]:
 def diagram(block: Block, connected: Iterable[Connection]) -> str:
     """Returns the block as SVG: inputs at the left, outputs at the right, in groups of the same other FMU."""
     fmus = {one.own: one.fmus for one in connected}
-    left = _rows(block.of_causality("input"), fmus, "start value holds")
-    right = _rows(block.of_causality("output"), fmus, "to observe")
+    left = _rows(block.of_causality("input"), fmus, "optional")
+    right = _rows(block.of_causality("output"), fmus, "output only")
     longest = [max((len(text) for text, _ in rows), default=0) for rows in (left, right)]
     width = round(max(_LETTER * sum(longest), 1.3 * _LETTER * len(block.name)) + 6 * _EDGE)
     height = _HEADER + _ROW * max(len(left), len(right)) + _EDGE

@@ -276,7 +276,7 @@ def test_a_grid_of_two_numbers_has_a_table_of_each_metric(planned: Make, tmp_pat
     assert [u.header, *u.cells] == ["r.u [1]", "1", "2", "3"]
     assert [column.header for column in columns] == ["0.5", "1"]
     cells = {
-        (float(x), float(column.header)): cell
+        (float(str(x)), float(str(column.header))): cell
         for column in columns
         for x, cell in zip(u.cells, column.cells, strict=True)
     }

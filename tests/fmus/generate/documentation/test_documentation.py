@@ -86,7 +86,9 @@ def test_the_parameters_of_the_advice_stand_first_and_in_its_order() -> None:
 def test_every_section_is_there(name: str) -> None:
     page = Page(text_of(builder.load_block(name)))
     assert page.declaration == "<!DOCTYPE html>"
-    sections = "Connect these two, Parameters, Inputs and outputs, Equations, Sign conventions, Limits"
+    sections = (
+        "Connections with other FMUs, Parameters, Inputs and outputs, Equations, Sign conventions, Limits"
+    )
     assert ", ".join(page.headings) == f"{sections}, Running it, Reference results, Sources and licences"
 
 

@@ -88,7 +88,7 @@ def test_both_ends_of_a_connection_have_it_on_their_page() -> None:
 def test_a_block_that_fits_no_other_has_no_table() -> None:
     page = documentation(one_block_of_all())["documentation/index.html"].decode()
     assert connections(one_block_of_all()) == []
-    assert "Connect these two" not in page
+    assert "Connections with other FMUs" not in page
 
 
 def test_the_diagram_has_a_port_for_each_declared_variable_at_its_side() -> None:
