@@ -30,7 +30,7 @@ _LEVELS = f"""\
 The level of a rule is the consequence of breaking it. *error*: an importer that follows the standard fails,
 crashes or gets a wrong result. *deviation*: a sentence demands it, but no known importer fails because
 of it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
-since most FMUs break them at no cost: {_OFF}."""
+because most FMUs break them without harm: {_OFF}."""
 
 
 def page() -> str:

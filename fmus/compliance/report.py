@@ -131,7 +131,9 @@ def text(checked: Checked) -> str:
         parts += [f"{path}: {summary(checked, path)}", *(f"  {line}" for line in lines(checked, path))]
     parts += [total(checked)] if len(checked.results) > 1 else []
     if checked.off:
-        parts.append(f"left out, as most FMUs break them at no cost (see --only): {', '.join(checked.off)}")
+        parts.append(
+            f"not checked, because most FMUs break them without harm (see --only): {', '.join(checked.off)}"
+        )
     return "\n".join(parts) + "\n"
 
 
