@@ -299,6 +299,9 @@ class _Judge:
         is_kept = rule.last or rule.name in (*FUNDAMENTAL[:2], *OF_INSTANCES)
         if refusal:
             is_kept = rule.name == _AFTER_OTHERS or _AFTER_OTHERS not in self.results
+            # an FMU that refuses even the first instance was asked in a new process already
+            first = (self.results[name] for name in FUNDAMENTAL[:2] if name in self.results)
+            is_kept |= any(refusal == _refusal(one) for one in first)
         if is_kept or not (result.messages or refusal):
             return False
         shared = self._shared[False].for_a_new_process(rule.name)
