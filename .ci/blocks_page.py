@@ -1,7 +1,6 @@
 """Page reference/blocks.md, what a block may contain, from the code."""
 
 import inspect
-from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, fields
 from enum import IntEnum
 from typing import Any
@@ -11,6 +10,7 @@ from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Guide
 from fmus.block.units import unit
 from fmus.units import SYMBOLS, UnitDefinition
+from orchestration.cli.explain import markdown_table
 
 _HEAD = """\
 # Blocks
@@ -87,12 +87,6 @@ def _signature(function: Any) -> str:
     return str(signature.replace(parameters=plain, return_annotation=inspect.Signature.empty))
 
 
-def _table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    heads = list(heads)
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
-
-
 def _block_fields() -> str:
     rows = []
     for member in fields(Block):
@@ -103,7 +97,7 @@ def _block_fields() -> str:
         shown = "no variables" if default is NoValues else shown
         shown = "" if member.name == "guide" else shown
         rows.append((f"`{member.name}`", kind, "required" if is_required else shown or "may be left out"))
-    return _table(("Field", "What it is", "Default"), rows)
+    return markdown_table(("Field", "What it is", "Default"), rows)
 
 
 def _types() -> str:
@@ -120,7 +114,7 @@ def _types() -> str:
         names = ", ".join(f"`{v.name}`" for v in scalars)
         start = "Mode.SLOW" if member.name == "enumeration" else repr(member.default)
         rows.append((f"`{start}`", scalars[0].type, names))
-    table = _table(("Start value of `NAME`", "FMI type", "Variables"), rows)
+    table = markdown_table(("Start value of `NAME`", "FMI type", "Variables"), rows)
     for member in fields(_Types):
         table = table.replace(f"`{member.name}", "`NAME")
     return f"{table}\n\n`Mode` is an `IntEnum`: {_summary(Mode)[0].lower()}{_summary(Mode)[1:]}"
@@ -131,7 +125,7 @@ def _functions() -> str:
     for name in numerics.__all__:
         function = getattr(numerics, name)
         rows.append((f"`{name}{_signature(function)}`", _summary(function).removeprefix("Returns ")))
-    return _table(("Function", "Returns"), rows)
+    return markdown_table(("Function", "Returns"), rows)
 
 
 def _units() -> str:
@@ -140,7 +134,7 @@ def _units() -> str:
         (f"`{name}`", _powers(unit(name)), f"{unit(name).factor!r}", f"{unit(name).offset!r}")
         for name in _FURTHER
     ]
-    table = _table(("Unit", "Base units of FMI", "Factor", "Offset"), rows)
+    table = markdown_table(("Unit", "Base units of FMI", "Factor", "Offset"), rows)
     return (
         f"Products of powers of these symbols, most with SI prefixes: {known}.\n\n"
         "With Pint, all others that these base units can express (`pip install 'l1-depth[units]'`).\n"

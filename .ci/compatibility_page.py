@@ -1,11 +1,12 @@
 """Page reference/compatibility.md, which importer runs which FMUs, by a table of tests."""
 
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from fmus.registry import block_names
+from orchestration.cli.explain import markdown_table
 
 DATA = Path(__file__).parent.parent / "tests" / "importers" / "interfaces.toml"
 INTERFACES = ("CS 2.0", "ME 2.0", "CS 3.0", "ME 3.0", "CS 2.0, python")
@@ -55,8 +56,14 @@ def page() -> str:
     heads = ("Importer", "Interface", "FMUs", "How")
     agreement = [tool["agreement"] for tool in tools.values() if "agreement" in tool]
     agreed = ("Importer", "Exchanges", "Times", "Depth differs by at most")
-    parts = [_HEAD, _table(("Importer", *INTERFACES), matrix), _WORDS, _RUNS, _table(heads, runs)]
-    parts += [_DID_NOT_RUN, _AGREEMENT, _table(agreed, agreement)]
+    parts = [
+        _HEAD,
+        markdown_table(("Importer", *INTERFACES), matrix),
+        _WORDS,
+        _RUNS,
+        markdown_table(heads, runs),
+    ]
+    parts += [_DID_NOT_RUN, _AGREEMENT, markdown_table(agreed, agreement)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -80,7 +87,3 @@ def _how(tool: Mapping[str, Any], run: Mapping[str, Any]) -> str:
         return f"by hand: {run['by_hand']}"
     test = run["test"].replace("::", "`<br>`")
     return f"{tool['distribution']} {tool['version']}: `{test}`"
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *rows))

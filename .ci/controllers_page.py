@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from controller_fmu.baselines import adrc, mrac, pid, sliding_mode, super_twisting
 from controller_fmu.l1 import depth_controller, heave_pitch_controller
 from fmus.block import Block, BlockVariable
+from orchestration.cli.explain import markdown_table
 
 _HEAD = """\
 # Depth controllers
@@ -120,9 +121,8 @@ def _parameters(variables: Iterable[BlockVariable]) -> str:
         alike.append(v.name.removeprefix(array) if alike else v.name)
         if _TABLE.search(v.name):
             alike.append("...")
-    rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
-    rows += [(", ".join(f"`{name}`" for name in alike), *row) for (_, *row), alike in names.items()]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows)
+    rows = [(", ".join(f"`{name}`" for name in alike), *row) for (_, *row), alike in names.items()]
+    return markdown_table(("parameter", "start", "unit", "meaning", "source"), rows)
 
 
 def _list(sentences: Iterable[str]) -> str:

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from fmus.compliance.rule import Level, Rule, all_rules
 from fmus.compliance.sentences import (
@@ -14,6 +14,7 @@ from fmus.compliance.sentences import (
     sentences_of,
     titles,
 )
+from orchestration.cli.explain import markdown_table
 
 _HEAD = """\
 # FMI 2.0.5, sentence by sentence
@@ -55,7 +56,7 @@ def _counts(entries: Sequence[Sentence], rules: Sequence[Rule]) -> str:
 
 def _section(clause: str) -> str:
     rows = [(entry.text, _checked_by(entry)) for entry in sentences() if entry.clause == clause]
-    return f"## {_heading(clause)}\n\n{_table(('What the text says', 'Checked by'), rows)}"
+    return f"## {_heading(clause)}\n\n{markdown_table(('What the text says', 'Checked by'), rows)}"
 
 
 def _heading(clause: str) -> str:
@@ -82,7 +83,7 @@ def _rules(rules: Sequence[Rule]) -> str:
         for rule in rules
     ]
     heads = ("Rule", "Clause", "What holds", "Level", "Reason for the level")
-    return f"## Rules\n\n{_LEVELS}\n\n{_table(heads, rows)}"
+    return f"## Rules\n\n{_LEVELS}\n\n{markdown_table(heads, rows)}"
 
 
 def _clauses(rule: Rule) -> str:
@@ -93,8 +94,3 @@ def _clauses(rule: Rule) -> str:
 
 def _anchor(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-
-
-def _table(heads: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
-    lines = [list(heads), ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)

@@ -27,6 +27,7 @@ import protocol_page
 import tables as study
 import vehicles_page
 
+from orchestration.cli.explain import markdown_table
 from tests.speed import tables as speed
 
 ROOT = Path(__file__).parents[1]
@@ -97,10 +98,7 @@ def _tables(kind: str) -> dict[str, str]:
         return study.tables(document)
     if kind == "speed":
         return {name: speed.markdown(rows) for name, rows in document.items()}
-    return {
-        name: "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *rows))
-        for name, (head, *rows) in document.items()
-    }
+    return {name: markdown_table(head, rows) for name, (head, *rows) in document.items()}
 
 
 def with_tables(page: str) -> str:
