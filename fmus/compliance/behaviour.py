@@ -308,6 +308,9 @@ class _Judge:
         again = next(self._results([rule], False, shared))
         if refusal and refusal == _refusal(again):
             again = next(self._results([rule], True, self._shared[True]))
+        if result.messages and again.not_judged and not _refusal(again):
+            # a call that another rule reports hinders the second judgement: it does not refute the first
+            return False
         self.results[rule.name] = again
         has_vanished = refusal != _refusal(again) if refusal else not again.messages
         if has_vanished:

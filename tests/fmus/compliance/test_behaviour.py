@@ -184,6 +184,17 @@ def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path
     assert result.outcome == "passed", result
 
 
+def test_a_finding_that_another_finding_hinders_from_being_repeated_stays(tmp_path: Path) -> None:
+    """The tour that finds the unwritten value fails in a new process for what was found meanwhile."""
+    value, save = "value[i] = vr[i] < N_VALUES ?", "if (!FMUState) return missing(instance, NAME(GetFMUState)"
+    patch = {
+        value: f"if (instance->data.mode != INITIALIZATION) {value}",
+        save: f"if (instance->data.mode == INSTANTIATED) return ERROR;\n    {save}",
+    }
+    results = {r.rule.name: r for r in examine(patched(patch, tmp_path), names=["values-are-written"])}
+    assert [name for name, result in results.items() if result.messages] == ["values-are-written"]
+
+
 def test_an_instance_of_the_other_interface_changes_nothing(tmp_path: Path) -> None:
     created = "if (instance) instance->log.enabled = log_mask(loggingOn);"
     patch = {
