@@ -113,6 +113,7 @@ def test_what_users_import_stands_in_few_modules(page: Path) -> None:
     assert {names for module, names in lines if module == "fmus"} <= {"numerics"}
 
 
+PRODUCT = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
 SHOWN = re.findall(r"^::: (\S+)", "\n".join(page.read_text(encoding="utf-8") for page in PAGES), re.M)
 
 
@@ -132,17 +133,15 @@ def with_members(name: str, one: Any) -> Iterator[tuple[str, Any, str]]:
     """Yields a class or function and its public methods and properties, each with its docstring."""
     of_init = inspect.getdoc(vars(one).get("__init__")) if inspect.isclass(one) else ""
     yield name, one, f"{inspect.getdoc(one) or ''}\n\n{of_init or ''}".strip()
-    for own, member in [*vars(one).items()] if inspect.isclass(one) else []:
+    bases = one.__mro__ if inspect.isclass(one) else ()
+    members = [m for base in bases if base.__module__.startswith(PRODUCT) for m in vars(base).items()]
+    for own, member in members:
         function = getattr(member, "__func__", member)
         is_field = own in getattr(one, "__annotations__", {})
         is_part = inspect.isfunction(function) or isinstance(function, property | cached_property)
         if is_part and not (is_field or own.startswith("_")):
             # a method may have the docstring of the base class
-            yield (
-                f"{name}.{own}",
-                function,
-                inspect.getdoc(getattr(one, own)) or inspect.getdoc(function) or "",
-            )
+            yield f"{name}.{own}", function, inspect.getdoc(getattr(one, own)) or ""
 
 
 def raises(function: Any) -> bool:
@@ -182,9 +181,21 @@ def test_a_public_name_has_a_docstring_in_numpys_style(name: str, one: Any) -> N
     }
 
 
+def test_a_gap_in_a_docstring_is_found() -> None:
+    def half(x: float) -> float:
+        if x < 0.0:
+            raise ValueError(x)
+        return 0.5 * x
+
+    sections = ("Parameters", "x : float", "Returns", "float", "Raises", "ValueError")
+    assert [*lacking(half, "")] == ["a docstring", "x", "Returns", "Raises"]
+    text = "".join(f"{one}\n------\n" if one.istitle() else f"{one}\n\n" for one in sections)
+    assert not [*lacking(half, text)]
+
+
 EXAMPLES = [
     path.relative_to(ROOT)
-    for package in ("fmus", "controller_fmu", "plant_fmu", "orchestration")
+    for package in PRODUCT
     for path in sorted((ROOT / package).rglob("*.py"))
     # a score takes a minute
     if ">>> " in path.read_text(encoding="utf-8") and path.name != "score.py"
