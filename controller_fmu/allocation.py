@@ -27,12 +27,35 @@ _SMALLEST_J = 0.1
 
 
 def body_to_earth(roll: float, pitch: float) -> float:
-    """Returns J = cos(roll) cos(pitch), for angles in rad."""
+    """Returns J = cos(roll) cos(pitch).
+
+    Parameters
+    ----------
+    roll, pitch : float
+        Angles [rad].
+
+    Returns
+    -------
+    float
+    """
     return cos(roll) * cos(pitch)
 
 
 def saturate(voltages: Pair, limit: float) -> Pair:
-    """Returns the voltages limited to -limit..limit."""
+    """Returns the voltages limited to -limit..limit.
+
+    Parameters
+    ----------
+    voltages : tuple of two floats
+        Demanded voltages [V].
+    limit : float
+        Largest voltage [V].
+
+    Returns
+    -------
+    tuple of two floats
+        Voltages [V].
+    """
     return clip(voltages[0], -limit, limit), clip(voltages[1], -limit, limit)
 
 
@@ -82,7 +105,23 @@ def table_voltage(force: float, voltages: Sequence[float], forces: Sequence[floa
 
 
 def shares(levers: Pair) -> Pair:
-    """Returns the share s of a force for each thruster, for their levers x_1 > 0 > x_2 [m]."""
+    """Returns the share s of a force for each thruster.
+
+    Parameters
+    ----------
+    levers : tuple of two floats
+        Levers x_1 > 0 > x_2 forward of the centre of gravity [m].
+
+    Returns
+    -------
+    tuple of two floats
+        s_1 and s_2, with a sum of 1.
+
+    Examples
+    --------
+    >>> shares((0.5, -1.5))
+    (0.75, 0.25)
+    """
     span = levers[0] - levers[1]
     return -levers[1] / span, levers[0] / span
 

@@ -38,7 +38,17 @@ _UNSTABLE = 1e3
 
 @dataclass(frozen=True)
 class StateSpace:
-    """State space system x' = A x + B u, y = C x: shapes (n, n), (n, inputs), (outputs, n)."""
+    """State space system x' = A x + B u, y = C x.
+
+    Parameters
+    ----------
+    a : array, shape (n, n)
+        A.
+    b : array, shape (n, inputs)
+        B.
+    c : array, shape (outputs, n)
+        C.
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -47,7 +57,15 @@ class StateSpace:
 
 @dataclass(frozen=True)
 class Extension:
-    """Extension u_p = -K_P e - K_I int e dt, with e = C x - r; output: C."""
+    """Extension u_p = -K_P e - K_I int e dt, with e = C x - r.
+
+    Parameters
+    ----------
+    output : tuple of float
+        C.
+    proportional_gain, integral_gain : float
+        K_P, and K_I in its unit per s.
+    """
 
     output: tuple[float, ...] = ()
     proportional_gain: float = 0.0

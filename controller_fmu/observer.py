@@ -22,7 +22,17 @@ class VelocitySource(IntEnum):
 
 @dataclass(frozen=True)
 class ObserverState:
-    """State of the observer: estimated depth [m], estimated depth rate [m/s] and the clock of its samples."""
+    """State of the observer.
+
+    Parameters
+    ----------
+    depth : float
+        Estimated depth [m].
+    rate : float
+        Estimated depth rate [m/s].
+    clock : Clock
+        Clock of its samples.
+    """
 
     depth: float = 0.0
     rate: float = 0.0
@@ -67,5 +77,23 @@ def correct(
 def sample_when_due(
     t: float, observer: ObserverState, measured: float, alpha: float, beta: float, period: float
 ) -> ObserverState:
-    """Returns the observer corrected if a sample is due at time t [s], else unchanged."""
+    """Returns the observer corrected if a sample is due, else unchanged.
+
+    Parameters
+    ----------
+    t : float
+        Time [s].
+    observer : ObserverState
+        Estimates at the last sample.
+    measured : float
+        Measured depth [m].
+    alpha, beta : float
+        Gains.
+    period : float
+        Sampling period [s].
+
+    Returns
+    -------
+    ObserverState
+    """
     return sampled(t, period, observer, correct(observer, measured, alpha, beta, period))

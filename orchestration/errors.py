@@ -54,7 +54,15 @@ class ScenarioWarning(UserWarning):
 
 
 class SimulationError(OrchestrationError):
-    """An error of a run that ended early; `recording` holds the values until then."""
+    """An error of a run that ended early.
+
+    Parameters
+    ----------
+    reason : str
+        The cause, in one line, which is the message.
+    recording : Recording
+        The values until then.
+    """
 
     def __init__(self, reason: str, recording: Any) -> None:
         super().__init__(reason, recording)

@@ -76,7 +76,19 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class SensorState:
-    """State: the last samples, the newest first; start of the run [s]; clock; both seeds of the generator."""
+    """State of the sensor.
+
+    Parameters
+    ----------
+    samples : tuple of float
+        The last samples [m], the newest first.
+    start : float
+        Start of the run [s].
+    clock : Clock
+        Clock of the samples.
+    seed_1, seed_2 : float
+        State of the random generator.
+    """
 
     samples: tuple[float, ...] = (0.0,) * HISTORY
     start: float = 0.0
@@ -86,13 +98,39 @@ class SensorState:
 
 
 def quantise(value: float, resolution: float) -> float:
-    """Returns the multiple of `resolution` nearest to `value`; `value` itself for a resolution of 0."""
+    """Returns the multiple of `resolution` nearest to `value`; `value` itself for a resolution of 0.
+
+    Parameters
+    ----------
+    value, resolution : float
+        Depth and resolution [m].
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> quantise(0.7, 0.5), quantise(0.7, 0.0)
+    (0.5, 0.7)
+    """
     step = where(resolution > _FINEST, resolution, 1.0)
     return where(resolution > _FINEST, step * floor(value / step + 0.5), value)
 
 
 def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
-    """Returns (u, seed_1, seed_2): a number in (0, 1) and the generator's next state."""
+    """Returns a number in (0, 1) and the generator's next state.
+
+    Parameters
+    ----------
+    seed_1, seed_2 : float
+        State of the generator.
+
+    Returns
+    -------
+    tuple of three floats
+        Number, seed_1, seed_2.
+    """
     seed_1 = fmod(_A_1 * seed_1, _M_1)
     seed_2 = fmod(_A_2 * seed_2, _M_2)
     difference = seed_1 - seed_2
@@ -101,14 +139,41 @@ def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
 
 
 def normal(seed_1: float, seed_2: float) -> tuple[float, float, float]:
-    """Returns (n, seed_1, seed_2): a standard normal number and the generator's next state."""
+    """Returns a standard normal number and the generator's next state.
+
+    Parameters
+    ----------
+    seed_1, seed_2 : float
+        State of the generator.
+
+    Returns
+    -------
+    tuple of three floats
+        Number, seed_1, seed_2.
+    """
     u, seed_1, seed_2 = uniform(seed_1, seed_2)
     v, seed_1, seed_2 = uniform(seed_1, seed_2)
     return sqrt(-2.0 * log(u)) * cos(2.0 * math.pi * v), seed_1, seed_2
 
 
 def sample(p: SensorParameters, state: SensorState, t: float, depth: float) -> SensorState:
-    """Returns the state after one more sample, taken at time t."""
+    """Returns the state after one more sample.
+
+    Parameters
+    ----------
+    p : SensorParameters
+    state : SensorState
+        State before the sample.
+    t : float
+        Time of the sample [s].
+    depth : float
+        True depth [m].
+
+    Returns
+    -------
+    SensorState
+        The clock is unchanged.
+    """
     n, seed_1, seed_2 = normal(state.seed_1, state.seed_2)
     true = depth + p.sensor_bias + p.sensor_drift * (t - state.start)
     newest = quantise(true + p.sensor_noise * n, p.sensor_resolution)
@@ -116,7 +181,18 @@ def sample(p: SensorParameters, state: SensorState, t: float, depth: float) -> S
 
 
 def scrambled(seed: int) -> tuple[float, float]:
-    """Returns the generator's first state, from a seed of at least 1 and below 2^32."""
+    """Returns the generator's first state.
+
+    Parameters
+    ----------
+    seed : int
+        At least 1 and below 2^32.
+
+    Returns
+    -------
+    tuple of two floats
+        seed_1, seed_2.
+    """
     # Both components of the generator are linear: without scrambling, consecutive seeds would give sequences
     # at a constant distance. A Feistel network over the two halves of the seed, with the middle bits of a
     # square as round function, is not linear and gives every seed another state.
@@ -141,18 +217,62 @@ def _low_half(value: float) -> float:
 
 
 def first_sample(p: SensorParameters, t: float, depth: float, seed: int) -> SensorState:
-    """Returns the state of a sensor that has always read this depth; `seed` is 1 or more."""
+    """Returns the state of a sensor that has always read this depth.
+
+    Parameters
+    ----------
+    p : SensorParameters
+    t : float
+        Time [s].
+    depth : float
+        True depth [m].
+    seed : int
+        Seed of the noise, 1 or more.
+
+    Returns
+    -------
+    SensorState
+    """
     state = sample(p, SensorState((), t, Clock(t, 1), *scrambled(seed)), t, depth)
     return replace(state, samples=(state.samples[0],) * HISTORY)
 
 
 def sample_when_due(p: SensorParameters, state: SensorState, t: float, depth: float) -> SensorState:
-    """Returns the state with one more sample if a sampling period has passed, else as it was."""
+    """Returns the state with one more sample if a sampling period has passed, else as it was.
+
+    Parameters
+    ----------
+    p : SensorParameters
+    state : SensorState
+    t : float
+        Time [s].
+    depth : float
+        True depth [m].
+
+    Returns
+    -------
+    SensorState
+    """
     return sampled(t, p.sensor_period, state, sample(p, state, t, depth))
 
 
 def reading(p: SensorParameters, state: SensorState, t: float, depth: float) -> float:
-    """Returns the depth that the sensor reports at time t: the newest sample that is as old as the delay."""
+    """Returns the depth that the sensor reports: the newest sample that is as old as the delay.
+
+    Parameters
+    ----------
+    p : SensorParameters
+    state : SensorState
+    t : float
+        Time [s].
+    depth : float
+        True depth [m], which an ideal sensor reports.
+
+    Returns
+    -------
+    float
+        Measured depth [m].
+    """
     arrived, last_sample = state.samples[-1], state.clock.last_sample(p.sensor_period)
     for age, value in reversed(list(enumerate(state.samples))):
         # 1e-6 of a period: a delay of whole periods must not depend on the rounding of t
@@ -162,6 +282,16 @@ def reading(p: SensorParameters, state: SensorState, t: float, depth: float) -> 
 
 
 def delay_fits(p: SensorParameters) -> tuple:
-    """Returns the requirement that the kept samples reach back as far as the delay."""
+    """Returns the requirement that the kept samples reach back as far as the delay.
+
+    Parameters
+    ----------
+    p : SensorParameters
+
+    Returns
+    -------
+    tuple
+        Condition, and expectation in words.
+    """
     fits = logical_and(p.sensor_delay >= 0.0, p.sensor_delay <= (HISTORY - 1) * p.sensor_period)
     return fits, f"sensor_delay at most {HISTORY - 1} times sensor_period"

@@ -16,7 +16,17 @@ GRAVITY = 9.81  # m/s2
 
 
 def body_to_earth(roll: float, pitch: float) -> float:
-    """Returns J = cos(roll) cos(pitch), for angles in rad."""
+    """Returns J = cos(roll) cos(pitch).
+
+    Parameters
+    ----------
+    roll, pitch : float
+        Angles [rad].
+
+    Returns
+    -------
+    float
+    """
     return cos(roll) * cos(pitch)
 
 

@@ -18,29 +18,100 @@ from fmus.numerics import cos, sin
 
 
 def vertical_thrust(forces: Sequence[float], pitch: float) -> float:
-    """Returns the vertical force of the thrusters [N], positive down."""
+    """Returns the vertical force of the thrusters.
+
+    Parameters
+    ----------
+    forces : sequence of float
+        Force F_i of each thruster [N].
+    pitch : float
+        Pitch angle theta [rad].
+
+    Returns
+    -------
+    float
+        Force [N], positive down.
+    """
     return cos(pitch) * sum(forces)
 
 
 def thrust_moment(forces: Sequence[float], levers: Sequence[float]) -> float:
-    """Returns the moment of the thrusters [N.m], positive bow up; a force down at the bow is negative."""
+    """Returns the moment of the thrusters; a force down at the bow is negative.
+
+    Parameters
+    ----------
+    forces : sequence of float
+        Force F_i of each thruster [N].
+    levers : sequence of float
+        Lever x_i of each thruster [m], positive forward of the centre of gravity.
+
+    Returns
+    -------
+    float
+        Moment [N.m], positive bow up.
+
+    Examples
+    --------
+    >>> thrust_moment((2.0, 1.0), levers=(0.5, -0.5))
+    -0.5
+    """
     # 0 less the sum: the moment of no force is then 0 and not -0
     return 0.0 - sum(x * force for x, force in zip(levers, forces, strict=True))
 
 
 def righting_moment(pitch: float, weight: float, metacentric_height: float) -> float:
-    """Returns the righting moment W BG sin(theta) [N.m]; the buoyancy is assumed to be W."""
+    """Returns the righting moment W BG sin(theta); the buoyancy is assumed to be W.
+
+    Parameters
+    ----------
+    pitch : float
+        Pitch angle theta [rad].
+    weight : float
+        W [N].
+    metacentric_height : float
+        BG [m].
+
+    Returns
+    -------
+    float
+        Moment [N.m].
+    """
     return weight * metacentric_height * sin(pitch)
 
 
 def angular_acceleration(moment: float, righting: float, damping: float, inertia: float) -> float:
-    """Returns q' [rad/s2] under a moment [N.m] of thrusters and surroundings."""
+    """Returns q' under a moment of thrusters and surroundings.
+
+    Parameters
+    ----------
+    moment, righting, damping : float
+        Moment of thrusters and surroundings, W BG sin(theta), and D_M q + D_Mq |q| q [N.m].
+    inertia : float
+        I [kg.m2].
+
+    Returns
+    -------
+    float
+        q' [rad/s2].
+    """
     return (moment - righting - damping) / inertia
 
 
 def depth_at(depth: float, pitch: float, forward: float, below: float = 0.0) -> float:
-    """Returns the depth [m] of a point of the vehicle, which on an even keel is the vehicle's depth.
+    """Returns the depth of a point of the vehicle, which on an even keel is the vehicle's depth.
 
-    forward, below: distances of the point from the centre of gravity [m]
+    Parameters
+    ----------
+    depth : float
+        Depth of the vehicle [m].
+    pitch : float
+        Pitch angle theta [rad].
+    forward, below : float
+        Distances of the point from the centre of gravity [m].
+
+    Returns
+    -------
+    float
+        Depth of the point [m].
     """
     return depth - forward * sin(pitch) - below * (1.0 - cos(pitch))

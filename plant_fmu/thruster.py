@@ -166,7 +166,28 @@ class ThrusterParameters:
 
 
 def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: float) -> float:
-    """Returns the steady force [N] of the submerged thruster under a constant voltage [V]."""
+    """Returns the steady force of the submerged thruster under a constant voltage.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    i : {0, 1}
+        Index of the thruster.
+    voltage : float
+        Voltage [V].
+    efficiency : float
+        1 for a healthy thruster, 0 for a dead one.
+
+    Returns
+    -------
+    float
+        Force [N], positive down.
+
+    Examples
+    --------
+    >>> steady_force(ThrusterParameters(), 0, 8.0, 1.0), steady_force(ThrusterParameters(), 0, 20.0, 1.0)
+    (2.0, 3.0)
+    """
     saturated = clip(voltage, -p.thruster_voltage_limit[i], p.thruster_voltage_limit[i])
     # Not by absolute and maximum: their derivative at 0 V is 0. Without a dead zone the slope there is the
     # gain, which directional derivatives must give.
@@ -185,21 +206,60 @@ def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: floa
 
 
 def table_force(p: ThrusterParameters, voltage: float) -> float:
-    """Returns the force [N] of the table at a voltage [V]."""
+    """Returns the force of the table at a voltage.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    voltage : float
+        Voltage [V].
+
+    Returns
+    -------
+    float
+        Force [N], positive down.
+    """
     return interp(voltage, p.thruster_table_voltage, p.thruster_table_force)
 
 
 def table_ascends(p: ThrusterParameters) -> tuple:
-    """Returns the requirement that the voltages of a table in use ascend."""
+    """Returns the requirement that the voltages of a table in use ascend.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+
+    Returns
+    -------
+    tuple
+        Condition, and expectation in words.
+    """
     ascend = all_hold(a < b for a, b in pairwise(p.thruster_table_voltage))
     is_left_out = logical_not(p.thruster_tabulated)
     return logical_or(is_left_out, ascend), "thruster_table_voltage: each above the one before"
 
 
 def force_after(p: ThrusterParameters, i: int, force: float, steady: float, elapsed: float) -> float:
-    """Returns the force [N] `elapsed` s after it was `force`: the exact answer of limit and lag to a voltage.
+    """Returns the force some time later: the exact answer of limit and lag to a voltage.
 
     The force changes at the rate R as long as the lag alone would change it faster.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    i : {0, 1}
+        Index of the thruster.
+    force : float
+        Force before [N].
+    steady : float
+        Steady force of the voltage [N].
+    elapsed : float
+        Time since `force` [s].
+
+    Returns
+    -------
+    float
+        Force [N].
     """
     lag = where(p.thruster_ideal, 0.0, p.thruster_lag[i])
     rate = maximum(p.thruster_rate_limit[i], _LEAST_RATE)
@@ -214,13 +274,41 @@ def force_after(p: ThrusterParameters, i: int, force: float, steady: float, elap
 
 
 def present_forces(p: ThrusterParameters, forces: Pair, steady: Pair) -> Pair:
-    """Returns the forces [N] behind limit and lag; without either, the forces of the voltages."""
+    """Returns the forces behind limit and lag; without either, the forces of the voltages.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    forces : tuple of two floats
+        Forces behind limit and lag [N].
+    steady : tuple of two floats
+        Steady forces of the voltages [N].
+
+    Returns
+    -------
+    tuple of two floats
+        Forces [N].
+    """
     first, second = (where(is_moving(p, i), forces[i], steady[i]) for i in (0, 1))
     return first, second
 
 
 def force_rates(p: ThrusterParameters, forces: Pair, steady: Pair) -> Pair:
-    """Returns F' [N/s] of each thruster by limit and lag; 0 without either."""
+    """Returns F' of each thruster by limit and lag; 0 without either.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    forces : tuple of two floats
+        Forces behind limit and lag [N].
+    steady : tuple of two floats
+        Steady forces of the voltages [N].
+
+    Returns
+    -------
+    tuple of two floats
+        Rates [N/s].
+    """
     first, second = (_force_rate(p, i, forces[i], steady[i]) for i in (0, 1))
     return first, second
 
@@ -233,7 +321,18 @@ def _force_rate(p: ThrusterParameters, i: int, force: float, steady: float) -> f
 
 
 def is_moving(p: ThrusterParameters, i: int) -> bool:
-    """Whether the force follows the voltage by a limit or a lag, and not at once."""
+    """Whether the force follows the voltage by a limit or a lag, and not at once.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    i : {0, 1}
+        Index of the thruster.
+
+    Returns
+    -------
+    bool
+    """
     has_rate = logical_or(p.thruster_lag[i] > _SHORTEST_LAG, p.thruster_rate_limit[i] > _LEAST_RATE)
     return logical_and(logical_not(p.thruster_ideal), has_rate)
 
@@ -245,9 +344,14 @@ def _left(lag: float, elapsed: float) -> float:
 
 @dataclass(frozen=True)
 class Transfer:
-    """Coefficients of a transfer function with a gain of 1: b_1 [1/s2], a_2 [1/s], a_1 [1/s2], a_0 [1/s3].
+    """Coefficients of a transfer function with a gain of 1.
 
-    a_0 = 0 leaves it out.
+    Parameters
+    ----------
+    b_1 : float
+        Of the numerator [1/s2].
+    a_2, a_1, a_0 : float
+        Of the denominator [1/s], [1/s2], [1/s3]; a_0 = 0 leaves the function out.
     """
 
     b_1: float
@@ -256,16 +360,53 @@ class Transfer:
     a_0: float
 
     def rates(self, x: Triple, steady: float) -> Triple:
-        """Returns x' [N/s, N/s2, N/s3] at a state x [N, N/s, N/s2], under a steady force F [N]."""
+        """Returns x' at a state x.
+
+        Parameters
+        ----------
+        x : tuple of three floats
+            State [N], [N/s], [N/s2].
+        steady : float
+            Steady force F [N].
+
+        Returns
+        -------
+        tuple of three floats
+            x' [N/s], [N/s2], [N/s3].
+        """
         third = self.a_0 * (steady - x[0]) - self.a_1 * x[1] - self.a_2 * x[2]
         return where(self.a_0 > 0.0, (x[1], x[2], third), (0.0, 0.0, 0.0))
 
     def force(self, x: Triple, steady: float) -> float:
-        """Returns the force [N] at a state x."""
+        """Returns the force at a state x.
+
+        Parameters
+        ----------
+        x : tuple of three floats
+            State [N], [N/s], [N/s2].
+        steady : float
+            Steady force F [N], which is the force if the function is left out.
+
+        Returns
+        -------
+        float
+            Force [N].
+        """
         return where(self.a_0 > 0.0, lambda: x[0] + self.b_1 / self.a_0 * x[1], steady)
 
     def requirements(self, step: float) -> tuple:
-        """Returns the requirements: the function is stable, and Runge-Kutta steps [s] resolve its poles."""
+        """Returns the requirements: the function is stable, and Runge-Kutta steps resolve its poles.
+
+        Parameters
+        ----------
+        step : float
+            Step [s].
+
+        Returns
+        -------
+        tuple
+            Condition and expectation in words of each.
+        """
         is_stable = logical_and(self.a_2 > 0.0, self.a_2 * self.a_1 > self.a_0)  # Routh and Hurwitz
         fastest = maximum(maximum(self.a_2, sqrt(self.a_1)), power(self.a_0, 1.0 / 3.0))
         is_left_out = self.a_0 <= 0.0
@@ -279,7 +420,19 @@ class Transfer:
 
 
 def ventilation_crossings(depth: float, p: ThrusterParameters) -> tuple[float, float]:
-    """Returns the distances [m] of propellers below the depths where thrust begins, and where it is full."""
+    """Returns the distances of propellers below the depths where thrust begins, and where it is full.
+
+    Parameters
+    ----------
+    depth : float
+        Depth of the vehicle [m].
+    p : ThrusterParameters
+
+    Returns
+    -------
+    tuple of two floats
+        Distances [m]; 1 without ventilation.
+    """
     is_ventilated = logical_and(logical_not(p.thruster_ideal), p.thruster_full_depth > _LEAST_DEPTH)
     of_propeller = depth + p.thruster_depth
     return (
@@ -289,7 +442,19 @@ def ventilation_crossings(depth: float, p: ThrusterParameters) -> tuple[float, f
 
 
 def submerged_share(depth: float, p: ThrusterParameters) -> float:
-    """Returns the share of thrust, 0 to 1, that the propellers of a vehicle give at its depth [m]."""
+    """Returns the share of thrust that the propellers of a vehicle give at its depth.
+
+    Parameters
+    ----------
+    depth : float
+        Depth of the vehicle [m].
+    p : ThrusterParameters
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
     full_depth = p.thruster_full_depth
     share = clip((depth + p.thruster_depth) / maximum(full_depth, _LEAST_DEPTH), 0.0, 1.0)
     return where(logical_and(logical_not(p.thruster_ideal), full_depth > _LEAST_DEPTH), share, 1.0)

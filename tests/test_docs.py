@@ -1,12 +1,21 @@
 """Tests of the pages: links lead somewhere, marked examples run, named tests exist."""
 
+import dis
+import doctest
+import enum
+import inspect
 import os
 import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
 
 import pytest
 
@@ -102,6 +111,102 @@ def test_what_users_import_stands_in_few_modules(page: Path) -> None:
     lines = re.findall(r"^\s*(?:from|import) ((?:fmus|orchestration)[\w.]*)(?: import (.*))?", text, re.M)
     assert {module for module, _ in lines} <= FRONT_DOOR
     assert {names for module, names in lines if module == "fmus"} <= {"numerics"}
+
+
+PRODUCT = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
+SHOWN = re.findall(r"^::: (\S+)", "\n".join(page.read_text(encoding="utf-8") for page in PAGES), re.M)
+
+
+def public_names() -> dict[str, Any]:
+    """Returns classes and functions that users import or that a page of the reference shows, by name."""
+    names = {f"{room}.{name}" for room in FRONT_DOOR for name in getattr(import_module(room), "__all__", ())}
+    names.add("orchestration.fmpy_master.simulate")
+    for shown in SHOWN:
+        members = vars(resolve_name(shown)) if inspect.ismodule(resolve_name(shown)) else {}
+        own = {name for name, member in members.items() if getattr(member, "__module__", "") == shown}
+        names |= {f"{shown}.{name}" for name in own if not name.startswith("_")} if members else {shown}
+    known = {resolve_name(name): name for name in sorted(names) if callable(resolve_name(name))}
+    return {name: one for one, name in known.items() if inspect.isclass(one) or inspect.isfunction(one)}
+
+
+def with_members(name: str, one: Any) -> Iterator[tuple[str, Any, str]]:
+    """Yields a class or function and its public methods and properties, each with its docstring."""
+    of_init = inspect.getdoc(vars(one).get("__init__")) if inspect.isclass(one) else ""
+    yield name, one, f"{inspect.getdoc(one) or ''}\n\n{of_init or ''}".strip()
+    bases = one.__mro__ if inspect.isclass(one) else ()
+    members = [m for base in bases if base.__module__.startswith(PRODUCT) for m in vars(base).items()]
+    for own, member in members:
+        function = getattr(member, "__func__", member)
+        is_field = own in getattr(one, "__annotations__", {})
+        is_part = inspect.isfunction(function) or isinstance(function, property | cached_property)
+        if is_part and not (is_field or own.startswith("_")):
+            # a method may have the docstring of the base class
+            yield f"{name}.{own}", function, inspect.getdoc(getattr(one, own)) or ""
+
+
+def raises(function: Any) -> bool:
+    """Whether a function has a statement that raises an error, other than of an abstract method."""
+    code = inspect.unwrap(function).__code__
+    is_abstract = "NotImplementedError" in code.co_names
+    return not is_abstract and any(one.opname == "RAISE_VARARGS" for one in dis.get_instructions(code))
+
+
+def lacking(one: Any, docstring: str) -> Iterator[str]:
+    """Yields the parts that the docstring of a class, function or property lacks."""
+    if not docstring:
+        yield "a docstring"
+    is_bare = inspect.isclass(one) and (issubclass(one, enum.Enum) or one.__init__ is Exception.__init__)
+    if is_bare or isinstance(one, property | cached_property):
+        return
+    _, *parts = re.split(r"^(\w+)\n-+\n", docstring, flags=re.M)
+    there, signature = dict(zip(parts[::2], parts[1::2], strict=True)), inspect.signature(one)
+    listed = there.get("Parameters", "") + there.get("Attributes", "")
+    named = re.findall(r"\w+", " ".join(re.findall(r"^[\w*][^:\n]*", listed, re.M)))
+    # the declaration of a variable of a block has its description
+    declared = [name for name, field in getattr(one, "__dataclass_fields__", {}).items() if field.metadata]
+    yield from [name for name in signature.parameters if name not in (*named, *declared, "self", "cls", "_")]
+    if not inspect.isclass(one) and signature.return_annotation not in (None, "None"):
+        yield from {"Returns"} - {name.replace("Yields", "Returns") for name in there}
+    made = [vars(one).get(name) for name in ("__init__", "__post_init__")] if inspect.isclass(one) else [one]
+    if any(raises(function) for function in made if inspect.isfunction(function)):
+        yield from {"Raises"} - there.keys()
+    yield from re.findall(r"^Raises \w+Error.*|.*; \w+Error .*", docstring, re.M)
+
+
+@pytest.mark.parametrize(("name", "one"), public_names().items())
+def test_a_public_name_has_a_docstring_in_numpys_style(name: str, one: Any) -> None:
+    """With all parameters, and with sections of what it returns and raises."""
+    assert not {
+        own: parts for own, part, text in with_members(name, one) if (parts := [*lacking(part, text)])
+    }
+
+
+def test_a_gap_in_a_docstring_is_found() -> None:
+    def half(x: float) -> float:
+        if x < 0.0:
+            raise ValueError(x)
+        return 0.5 * x
+
+    sections = ("Parameters", "x : float", "Returns", "float", "Raises", "ValueError")
+    assert [*lacking(half, "")] == ["a docstring", "x", "Returns", "Raises"]
+    text = "".join(f"{one}\n------\n" if one.istitle() else f"{one}\n\n" for one in sections)
+    assert not [*lacking(half, text)]
+
+
+EXAMPLES = [
+    path.relative_to(ROOT)
+    for package in PRODUCT
+    for path in sorted((ROOT / package).rglob("*.py"))
+    # a score takes a minute
+    if ">>> " in path.read_text(encoding="utf-8") and path.name != "score.py"
+]
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=str)
+def test_the_examples_of_docstrings_run_and_print_what_they_show(path: Path) -> None:
+    module = import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
+    ran = doctest.testmod(module, extraglobs={"dataclass": dataclass})
+    assert (ran.failed, ran.attempted > 0) == (0, True)
 
 
 @pytest.mark.parametrize("page", TOOL_PAGES, ids=_name)

@@ -22,7 +22,17 @@ from fmus.numerics import where
 
 @dataclass(frozen=True)
 class Measurement:
-    """Measurement at one time: state x, output y, reference r and its feedforward f."""
+    """Measurement at one time.
+
+    Parameters
+    ----------
+    x : tuple of two floats
+        State of the plant.
+    y, r : float
+        Output and its reference, in one unit.
+    f : float
+        Feedforward of the reference, in the unit of the control.
+    """
 
     x: Vector = (0.0, 0.0)
     y: float = 0.0
@@ -37,9 +47,16 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Held:
-    """Held control: u that the plant received, its part u_a that precedes the extension, its duration [s].
+    """Held control.
 
-    u_a includes a feedforward outside the filter.
+    Parameters
+    ----------
+    duration : float
+        How long it was held [s].
+    u : float
+        Control that the plant received.
+    u_a : float
+        Part of u that precedes the extension, with a feedforward outside the filter.
     """
 
     duration: float = 0.0
@@ -51,9 +68,20 @@ class Held:
 class LawState:
     """State of the law.
 
-    `estimates` belong to the time of `measured`, the last measurement, or of the last sample of the
-    piecewise-constant law; `sample.x` is the state at that time. `held` is the control that the plant
-    received since `measured`. Filter and `integral`, int K_I e dt, belong to the end of the last step.
+    Parameters
+    ----------
+    measured : Measurement
+        The last measurement.
+    estimates : Estimates
+        At the time of `measured`, or of the last sample of the piecewise-constant law.
+    held : Held
+        Control that the plant received since `measured`.
+    filter : FilterState
+        At the end of the last step.
+    integral : float
+        int K_I e dt at the end of the last step.
+    sample : Sample
+        `sample.x` is the state at the time of the estimates.
     """
 
     measured: Measurement = Measurement()
@@ -67,7 +95,19 @@ class LawState:
 
 @dataclass(frozen=True)
 class Control:
-    """The four parts of the control u."""
+    """The four parts of the control u, in its unit.
+
+    Parameters
+    ----------
+    u_m : float
+        State feedback.
+    u_a : float
+        Adaptive control, behind the filter.
+    u_p : float
+        Extension.
+    u_f : float
+        Feedforward outside the filter.
+    """
 
     u_m: float
     u_a: float
@@ -76,11 +116,24 @@ class Control:
 
     @property
     def total(self) -> float:
+        """The control u."""
         return self.u_m + self.u_a + self.u_p + self.u_f
 
 
 def initial_law(measured: Measurement, omega: float) -> LawState:
-    """Returns the state with the prediction at the measured state, theta_hat and sigma_hat at zero."""
+    """Returns the state with the prediction at the measured state, theta_hat and sigma_hat at zero.
+
+    Parameters
+    ----------
+    measured : Measurement
+        First measurement.
+    omega : float
+        Estimate of the input gain.
+
+    Returns
+    -------
+    LawState
+    """
     return LawState(measured, Estimates(omega_hat=omega), sample=Sample(measured.x))
 
 
@@ -136,13 +189,33 @@ def control(law: LawState, k_m: Vector, parameters: LawParameters) -> Control:
 
 
 def predicted_state(law: LawState) -> Vector:
-    """Returns x_hat at the time of the prediction error."""
+    """Returns x_hat at the time of the prediction error.
+
+    Parameters
+    ----------
+    law : LawState
+
+    Returns
+    -------
+    tuple of two floats
+    """
     x, x_tilde = law.sample.x, law.estimates.x_tilde
     return x[0] + x_tilde[0], x[1] + x_tilde[1]
 
 
 def outputs(law: LawState, u: Control) -> dict[str, Any]:
-    """Returns the outputs of every block with this law by name: parts of the control, estimates."""
+    """Returns the outputs of every block with this law by name: parts of the control, estimates.
+
+    Parameters
+    ----------
+    law : LawState
+    u : Control
+
+    Returns
+    -------
+    dict
+        Name -> value.
+    """
     estimates = asdict(law.estimates)
     # each block has own variables for it, with the names and units of its plant
     del estimates["x_tilde"]

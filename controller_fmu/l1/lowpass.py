@@ -20,7 +20,15 @@ from fmus.numerics import where
 
 @dataclass(frozen=True)
 class FilterState:
-    """State of the filter: u_a in the unit of the control; p_1 and p_2 of the third order."""
+    """State of the filter.
+
+    Parameters
+    ----------
+    u_a : float
+        In the unit of the control.
+    p_1, p_2 : float
+        Of the third order; 0 for the first order.
+    """
 
     # u_a itself is a state: a change of w during a run makes no jump of the control
     u_a: float = 0.0

@@ -74,7 +74,9 @@ class Block:
     name, description : str
         Name of the FMU, and one line about it.
     parameters, inputs, state, outputs, continuous, calculated : type
-        The classes.
+        The classes; only `outputs` is required.
+    initial_state, step, output, calculate, requirements, derivative, integrate, crossings : function
+        The functions; only `output` is required.
     stop_time, step_size : float
         Default experiment of the FMU, in s.
     guide : Guide
@@ -161,6 +163,10 @@ class Block:
         **given
             Other fields, such as stop_time=60.0, and parts that are imported or have another name.
 
+        Returns
+        -------
+        Block
+
         Raises
         ------
         TypeError
@@ -187,6 +193,10 @@ class Block:
             Parameter -> (start value, source of the number).
         **given
             Other fields of the new block, such as guide=...
+
+        Returns
+        -------
+        Block
 
         Raises
         ------
@@ -257,7 +267,18 @@ class Block:
     def held(self, t: float, state: Any, *others: Any) -> Any:
         """Returns the state between events: with up-to-date copies of inputs, the rest as it was.
 
-        others: inputs, parameters and calculated parameters
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        state : State
+            The state, with continuous states of time t.
+        *others
+            Inputs, parameters and calculated parameters, as `step` takes them.
+
+        Returns
+        -------
+        State
         """
         with between_events():
             stepped = self.step(t, 0.0, state, *others)
@@ -278,6 +299,17 @@ class Block:
         return unflatten(state, [*rk4_step(rates, t, tuple(scalars[:count]), h), *scalars[count:]])
 
     def of_causality(self, causality: str) -> tuple[BlockVariable, ...]:
+        """Returns the scalar variables of one causality, in the order of `variables`.
+
+        Parameters
+        ----------
+        causality : {"parameter", "calculatedParameter", "input", "output"}
+            Causality in FMI.
+
+        Returns
+        -------
+        tuple of BlockVariable
+        """
         return tuple(v for v in self.variables if v.causality == causality)
 
 
@@ -298,7 +330,17 @@ def _mistaken_names(module: str, given: Collection[str]) -> Iterator[str]:
 
 
 def is_frozen(cls: Any) -> bool:
-    """Whether it is a class with @dataclass(frozen=True)."""
+    """Whether it is a class with @dataclass(frozen=True).
+
+    Parameters
+    ----------
+    cls : object
+        Anything.
+
+    Returns
+    -------
+    bool
+    """
     # a class inherits the parameters of a base class that is a dataclass
     is_own = isinstance(cls, type) and "__dataclass_params__" in vars(cls)
     return is_own and cls.__dataclass_params__.frozen

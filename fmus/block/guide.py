@@ -11,7 +11,15 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Source:
-    """Source of a statement or a number: a text, and a link or ""."""
+    """Source of a statement or a number.
+
+    Parameters
+    ----------
+    text : str
+        Authors, title and year, or where the number was measured.
+    url : str
+        Link, or "".
+    """
 
     text: str
     url: str = ""

@@ -23,7 +23,28 @@ def between_events() -> Iterator[list[float]]:
 def rk4_step(derivative: Callable[[Any, tuple], tuple], t: float, x: tuple, h: float) -> tuple:
     """Returns x after one step of the classical fourth-order Runge-Kutta method.
 
-    `derivative(t, x)` returns dx/dt in the order of `x`; global error O(h^4).
+    The global error is O(h^4).
+
+    Parameters
+    ----------
+    derivative : function
+        `derivative(t, x)` returns dx/dt, a tuple in the order of `x`.
+    t : float
+        Time at the beginning of the step [s].
+    x : tuple of float
+        Continuous states at t.
+    h : float
+        Step [s].
+
+    Returns
+    -------
+    tuple of float
+        Continuous states at t + h.
+
+    Examples
+    --------
+    >>> rk4_step(lambda t, x: (2.0 * t,), 0.0, (0.0,), 1.0)
+    (1.0,)
     """
     half = 0.5 * h
     k1 = derivative(t, x)

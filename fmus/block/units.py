@@ -21,14 +21,53 @@ _EXPONENT = re.compile(r"(?<=[^\W\d_])(-?\d+)")
 
 
 def unit(name: str) -> UnitDefinition:
-    """Returns the unit of a name; ExportError, with the nearest name, for one that FMI cannot express."""
+    """Returns the unit of a name.
+
+    Parameters
+    ----------
+    name : str
+        Unit, such as "N.s/m" or "degC".
+
+    Returns
+    -------
+    UnitDefinition
+        Powers of FMI's base units, factor and offset.
+
+    Raises
+    ------
+    ExportError
+        For a name that is unknown, with the nearest one, or that FMI cannot express.
+
+    Examples
+    --------
+    >>> unit("mm").factor
+    0.001
+    """
     return si_unit(name) or _by_pint(name)
 
 
 def display(unit_name: str, display_name: str) -> tuple[float, float]:
-    """Returns (factor, offset): value in the display unit = factor * value in the unit + offset.
+    """Returns the change of a value to the unit in which tools show it.
 
-    Raises ExportError for units of different dimensions.
+    Parameters
+    ----------
+    unit_name, display_name : str
+        Unit of the variable, and unit in which it is shown.
+
+    Returns
+    -------
+    tuple of two floats
+        Factor and offset: value in the display unit = factor * value in the unit + offset.
+
+    Raises
+    ------
+    ExportError
+        For units of different dimensions.
+
+    Examples
+    --------
+    >>> display("m", "mm")
+    (1000.0, 0.0)
     """
     own, shown = unit(unit_name), unit(display_name)
     if own.exponents != shown.exponents:
@@ -37,7 +76,23 @@ def display(unit_name: str, display_name: str) -> tuple[float, float]:
 
 
 def per_second(name: str) -> str:
-    """Returns the name of a unit divided by the second."""
+    """Returns the name of a unit divided by the second.
+
+    Parameters
+    ----------
+    name : str
+        Unit of a variable.
+
+    Returns
+    -------
+    str
+        Unit of its derivative by time.
+
+    Examples
+    --------
+    >>> per_second("m"), per_second("m/s")
+    ('m/s', 'm/s2')
+    """
     base, slash, power = name.rpartition("/s")
     if not slash or (power and not power.isdecimal()):
         return f"{name}/s"
@@ -45,7 +100,22 @@ def per_second(name: str) -> str:
 
 
 def rate(name: str) -> UnitDefinition:
-    """Returns the unit of a derivative by time, named `per_second(name)`, of a variable of this unit."""
+    """Returns the unit of a derivative by time, named `per_second(name)`, of a variable of this unit.
+
+    Parameters
+    ----------
+    name : str
+        Unit of the variable.
+
+    Returns
+    -------
+    UnitDefinition
+
+    Examples
+    --------
+    >>> rate("km/h").exponents == unit("m/s2").exponents
+    True
+    """
     of_variable = unit(name)
     exponents = {**of_variable.exponents, "s": of_variable.exponents.get("s", 0) - 1}
     return UnitDefinition({base: power for base, power in exponents.items() if power}, of_variable.factor)

@@ -64,7 +64,22 @@ def _dot(a: Vector, b: Vector) -> Any:
 
 
 def transpose(a: Matrix) -> Matrix:
-    """Returns the rows of a matrix as columns."""
+    """Returns the rows of a matrix as columns.
+
+    Parameters
+    ----------
+    a : tuple of m rows
+        Matrix; lists and arrays of constants are taken, too.
+
+    Returns
+    -------
+    tuple of rows
+
+    Examples
+    --------
+    >>> transpose(((1.0, 2.0), (3.0, 4.0)))
+    ((1.0, 3.0), (2.0, 4.0))
+    """
     return tuple(zip(*_tuples(a), strict=True))
 
 

@@ -93,40 +93,105 @@ def _without_minus_zeros(value: Any) -> Any:
 
 
 def logical_and(first: bool | float, second: bool | float) -> bool:
-    """Whether both conditions hold."""
+    """Whether both conditions hold.
+
+    Parameters
+    ----------
+    first, second : bool or float
+        Conditions of `where`.
+
+    Returns
+    -------
+    bool
+    """
     if are_numbers(first, second):
         return bool(first and second)
     return casadi().logic_and(first, second)
 
 
 def logical_or(first: bool | float, second: bool | float) -> bool:
-    """Whether one condition holds, or both."""
+    """Whether one condition holds, or both.
+
+    Parameters
+    ----------
+    first, second : bool or float
+        Conditions of `where`.
+
+    Returns
+    -------
+    bool
+    """
     if are_numbers(first, second):
         return bool(first or second)
     return casadi().logic_or(first, second)
 
 
 def logical_xor(first: bool | float, second: bool | float) -> bool:
-    """Whether exactly one of two conditions holds."""
+    """Whether exactly one of two conditions holds.
+
+    Parameters
+    ----------
+    first, second : bool or float
+        Conditions of `where`.
+
+    Returns
+    -------
+    bool
+    """
     if are_numbers(first, second):
         return bool(first) != bool(second)
     return logical_not(first) != logical_not(second)
 
 
 def logical_not(condition: bool | float) -> bool:
-    """Whether the condition does not hold."""
+    """Whether the condition does not hold.
+
+    Parameters
+    ----------
+    condition : bool or float
+        Condition of `where`.
+
+    Returns
+    -------
+    bool
+    """
     if are_numbers(condition):
         return not condition
     return casadi().logic_not(condition)
 
 
 def all(conditions: Iterable[bool | float]) -> bool:
-    """Whether every condition holds; True for none."""
+    """Whether every condition holds; True for none.
+
+    Parameters
+    ----------
+    conditions : iterable of bool or float
+        Conditions of `where`.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> all(a < b for a, b in ((1.0, 2.0), (2.0, 3.0)))
+    True
+    """
     return reduce(logical_and, conditions, True)
 
 
 def any(conditions: Iterable[bool | float]) -> bool:
-    """Whether at least one condition holds; False for none."""
+    """Whether at least one condition holds; False for none.
+
+    Parameters
+    ----------
+    conditions : iterable of bool or float
+        Conditions of `where`.
+
+    Returns
+    -------
+    bool
+    """
     return reduce(logical_or, conditions, False)
 
 
@@ -180,19 +245,56 @@ def choose(index: float, choices: Sequence[Any]) -> Any:
 
 
 def minimum(first: float, second: float) -> float:
-    """Returns the smaller of two numbers; the second of 0.0 and -0.0."""
+    """Returns the smaller of two numbers; the second of 0.0 and -0.0.
+
+    Parameters
+    ----------
+    first, second : float
+        Numbers in one unit.
+
+    Returns
+    -------
+    float
+    """
     if are_numbers(first, second):
         return first if first < second or math.isnan(second) else second
     return casadi().fmin(second, first)
 
 
 def maximum(first: float, second: float) -> float:
-    """Returns the larger of two numbers; the second of 0.0 and -0.0."""
+    """Returns the larger of two numbers; the second of 0.0 and -0.0.
+
+    Parameters
+    ----------
+    first, second : float
+        Numbers in one unit.
+
+    Returns
+    -------
+    float
+    """
     if are_numbers(first, second):
         return first if first > second or math.isnan(second) else second
     return casadi().fmax(second, first)
 
 
 def clip(value: float, low: float, high: float) -> float:
-    """Returns `value` limited to low..high."""
+    """Returns `value` limited to low..high.
+
+    Parameters
+    ----------
+    value : float
+        Any number.
+    low, high : float
+        Ends of the range, in the unit of the value.
+
+    Returns
+    -------
+    float
+
+    Examples
+    --------
+    >>> clip(15.0, -12.0, 12.0)
+    12.0
+    """
     return minimum(maximum(value, low), high)

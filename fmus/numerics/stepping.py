@@ -37,11 +37,31 @@ class Clock:
     count: int = 0
 
     def next_sample(self, period: float) -> float:
-        """Returns the time of the next sample [s]."""
+        """Returns the time of the next sample [s].
+
+        Parameters
+        ----------
+        period : float
+            Sampling period [s].
+
+        Returns
+        -------
+        float
+        """
         return self.start + self.count * period
 
     def last_sample(self, period: float) -> float:
-        """Returns the time of the last sample [s]."""
+        """Returns the time of the last sample [s].
+
+        Parameters
+        ----------
+        period : float
+            Sampling period [s].
+
+        Returns
+        -------
+        float
+        """
         return self.start + (self.count - 1) * period
 
 

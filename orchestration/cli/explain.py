@@ -83,7 +83,12 @@ def _kinds(title: str, node: Node, tables: Node) -> Section:
         first = next((f'`{key} = "{one["const"]}"`' for key, one in names.items() if "const" in one), "")
         arguments = [_argument(key, one, definition) for key, one in names.items() if "const" not in one]
         required_first = ", ".join(sorted(arguments, key=lambda text: not text.startswith("**")))
-        rows.append((first, required_first, _text(definition)))
+        meanings = [
+            f"`{key}`: {_text(one)}"
+            for key, one in names.items()
+            if "description" in one and f"`{key}`" not in _NOTES[title]
+        ]
+        rows.append((first, required_first, " ".join([_text(definition), *meanings])))
     return Section(title, _NOTES[title], ("entry", "arguments", "meaning"), tuple(rows))
 
 
@@ -95,11 +100,8 @@ def _argument(name: str, node: Node, definition: Node) -> str:
 
 
 def _text(node: Node) -> str:
-    """Returns the description in one line, without the errors that are raised."""
-    arguments = "|".join(node.get("properties", ()))
-    text = re.sub(r"\n\nRaises .*", "", node.get("description", ""), flags=re.DOTALL)
-    text = re.sub(rf"(?<!\n)\n(?=(?:{arguments}): )", "; ", text)
-    text = " ".join(re.sub(r"(?<!\.)\n\n", ". ", text).split())
+    """Returns the description in one line."""
+    text = " ".join(node.get("description", "").split())
     return text[:1].upper() + text[1:]
 
 

@@ -97,7 +97,20 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begins another episode, with other seeds and parameters where the task draws them."""
+        """Begins another episode, with other seeds and parameters where the task draws them.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of this episode and all that follow; by default the random numbers go on.
+        options : mapping, optional
+            Ignored.
+
+        Returns
+        -------
+        tuple
+            Observation, {"time": s}.
+        """
         super().reset(seed=seed)
         self._runs.reset(self.np_random)
         self._look()
@@ -127,11 +140,17 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
         return self._observation(), reward, self._terminated, truncated, self._info()
 
     def recording(self) -> Recording:
-        """Returns the recording of the present episode until now."""
+        """Returns the recording of the present episode until now.
+
+        Returns
+        -------
+        Recording
+        """
         self._check_begun()
         return self._runs.run.recording()
 
     def close(self) -> None:
+        """Frees the FMUs."""
         self._runs.engine.close()
 
 
@@ -146,10 +165,17 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         Number of environments.
     where : str
         "auto": in vectors, with the same values, if the FMUs allow it and are compiled for it.
-        "vectors": compiles them; EnsembleError if that is impossible.
+        "vectors": compiles them.
         "processor": one by one.
         "gpu": on the GPU of this machine. Observations and rewards are arrays of CuPy; actions are such
         arrays or others with DLPack on that GPU, such as arrays of PyTorch and JAX.
+
+    Raises
+    ------
+    EnsembleError
+        With "vectors" or "gpu", if the FMUs cannot run so.
+    SystemDefinitionError
+        For a number of environments below 1, and as for `FmuEnv`.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -169,9 +195,24 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begins an episode in every environment; environment i has the seed `seed + i`, or `seed[i]`.
+        """Begins an episode in every environment.
 
-        Raises SystemDefinitionError for another number of seeds, and for the option `reset_mask`.
+        Parameters
+        ----------
+        seed : int or sequence of int, optional
+            Environment i has the seed `seed + i`, or `seed[i]`.
+        options : mapping, optional
+            Must not have `reset_mask`: the next step resets the environments that are done.
+
+        Returns
+        -------
+        tuple
+            Observations, shape (num_envs, observations), and {"time": array of s}.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For another number of seeds, and for the option `reset_mask`.
         """
         if "reset_mask" in (options or {}):
             raise SystemDefinitionError("reset_mask: expected none, the next step resets what is done")
@@ -186,7 +227,18 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         return self._observation(), self._info()
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Takes one action in each environment; those that were done begin an episode, with a reward of 0."""
+        """Takes one action in each environment; those that were done begin an episode, with a reward of 0.
+
+        Parameters
+        ----------
+        actions : array, shape (num_envs, actions)
+            From -1 to 1, scaled to the bounds of the inputs.
+
+        Returns
+        -------
+        tuple
+            Like the result of `FmuEnv.step`, with a first axis of environments.
+        """
         if self._arrays is not np and not isinstance(actions, np.ndarray):
             actions = self._arrays.from_dlpack(actions)
         values = self._own_units(self._arrays.asarray(actions), self.action_space)
@@ -207,11 +259,23 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         return self._observation(), rewards, self._terminated, truncated, self._info()
 
     def recordings(self) -> list[Recording]:
-        """Returns the recording of the present episode of each environment until now."""
+        """Returns the recording of the present episode of each environment until now.
+
+        Returns
+        -------
+        list of Recording
+        """
         self._check_begun()
         return self._runs.recordings()
 
     def close_extras(self, **kwargs: Any) -> None:
+        """Frees the FMUs; `close` calls it.
+
+        Parameters
+        ----------
+        **kwargs
+            Ignored.
+        """
         self._runs.close()
 
 

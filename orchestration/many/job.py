@@ -57,9 +57,14 @@ class Done(NamedTuple):
 
 @dataclass(frozen=True)
 class Failure:
-    """A run without a result; `reason` says why, in one line.
+    """A run without a result.
 
-    cause: `ENDED` or `TOO_LONG` for what the run did to its process
+    Parameters
+    ----------
+    reason : str
+        Why the result is missing, in one line.
+    cause : str
+        "ended" if the process of the run ended, "too long" if it was ended after the timeout, else "".
     """
 
     reason: str

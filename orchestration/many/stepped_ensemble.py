@@ -18,8 +18,14 @@ from orchestration.system.values import fmi_value, possible_values, value_range
 class EnsembleRecording(Recording):
     """Recording of many instances, with a first axis of runs; NaN after the end of one that failed.
 
-    counts: recorded communication points of each instance, shape (runs,)
-    failures: instance -> why it ended early
+    Parameters
+    ----------
+    names, units, time, values, provenance, strings
+        See `Recording`; the shape of `values` is (runs, n, len(names)).
+    counts : array of int, shape (runs,)
+        Recorded communication points of each instance.
+    failures : mapping
+        Instance -> why it ended early.
     """
 
     counts: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
@@ -31,13 +37,29 @@ class EnsembleRecording(Recording):
         return [instance for instance in range(len(self.counts)) if instance not in self.failures]
 
     def recordings(self) -> Recording:
-        """Returns the recordings of the `complete` instances."""
+        """Returns the recordings of the `complete` instances.
+
+        Returns
+        -------
+        Recording
+            With a first axis of runs.
+        """
         of_signals = self.values.transpose(2, 0, 1)  # as they lie in memory
         values = of_signals[:, self.complete].transpose(1, 2, 0) if self.failures else self.values
         return Recording(self.names, self.units, self.time, values, self.provenance, self.strings)
 
     def run(self, index: int) -> Recording:
-        """Returns the recording of one instance, until its end."""
+        """Returns the recording of one instance, until its end.
+
+        Parameters
+        ----------
+        index : int
+            Number of the instance, from 0.
+
+        Returns
+        -------
+        Recording
+        """
         count = self.counts[index]
         time, values = self.time[:count], on_host(self.values[index, :count])
         return Recording(self.names, self.units, time, values, self.provenance, self.strings)
@@ -46,11 +68,16 @@ class EnsembleRecording(Recording):
 class SteppedEnsemble:
     """Instances that the caller leads, all at the same communication point; `Ensemble.start` makes them.
 
-    point: index of the communication point; failures: instance -> why it ended early
-
     It has the form of `Run`, with an array for the instances in place of a number. The recording equals
     the recordings of as many stepped runs, to the last bit; but a step that an FMU refuses is an error,
     where a Simulator tries shorter ones.
+
+    Attributes
+    ----------
+    point : int
+        Index of the communication point.
+    failures : dict
+        Instance -> why it ended early.
     """
 
     is_terminated = False  # its FMUs never terminate a simulation
@@ -77,7 +104,15 @@ class SteppedEnsemble:
         return self.point + 1 == len(self._prepared.points)
 
     def step(self) -> None:
-        """Steps to the next communication point; SimulationError if an instance cannot, or at the end."""
+        """Steps to the next communication point.
+
+        Raises
+        ------
+        SimulationError
+            If an instance cannot; `recording` has its values until then.
+        OrchestrationError
+            At the stop time.
+        """
         if self.is_done:
             raise OrchestrationError(
                 f"the run is at its stop time, {self.time:.9g} s: expected no further step"
@@ -99,7 +134,20 @@ class SteppedEnsemble:
     def reader(self, *names: str) -> Callable[[], Any]:
         """Returns a function that returns the present values of one variable, or a tuple of several.
 
-        Values have the shape (instances,); Booleans are 0.0 and 1.0.
+        Parameters
+        ----------
+        *names : str
+            "component.variable" of each.
+
+        Returns
+        -------
+        function
+            Without arguments. Values have the shape (instances,); Booleans are 0.0 and 1.0.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For an unknown variable.
         """
         ports = [self._prepared.system.port(name, "reader") for name in names]
         must_exchange = not self._driven.isdisjoint(names)
@@ -113,10 +161,24 @@ class SteppedEnsemble:
         return read
 
     def writer(self, *names: str) -> Callable[..., None]:
-        """Returns a function that sets external inputs from the present point on; values: shape (instances,).
+        """Returns a function that sets external inputs from the present point on.
 
-        It raises SystemDefinitionError, and sets none, for another shape, and for a value that is not finite
-        or outside of the declared range. Raises SystemDefinitionError for another variable.
+        Parameters
+        ----------
+        *names : str
+            "component.variable" of each external input.
+
+        Returns
+        -------
+        function
+            Its arguments are an array of shape (instances,) for each name. It raises SystemDefinitionError,
+            and sets none, for another shape, and for a value that is not finite or outside of the declared
+            range.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For a variable that is no external input.
         """
         ports = [self._prepared.system.port(name, "writer") for name in names]
         for name in names:
@@ -137,7 +199,12 @@ class SteppedEnsemble:
         return write
 
     def recording(self) -> EnsembleRecording:
-        """Returns the values recorded until now, including the present communication point."""
+        """Returns the values recorded until now, including the present communication point.
+
+        Returns
+        -------
+        EnsembleRecording
+        """
         self._loop.exchange(self.point)
         return self._recording()
 

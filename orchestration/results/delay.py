@@ -30,6 +30,24 @@ def shift_lag(recording: Recording, signal: str, reference: str, largest: float)
 
     Points count from `largest` seconds after the start, so that every delay has the same points. The result
     is NaN if the least RMSE is at an edge of the search, and 0 if the signal neither lags nor leads.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal, reference : str
+        "component.variable" of each.
+    largest : float
+        Longest delay of the search [s].
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+
+    Raises
+    ------
+    ScenarioError
+        For a run that is shorter than `largest`.
     """
     time, values, target = recording.time, np.atleast_2d(recording[signal]), recording[reference]
     if not time[-1] >= time[0] + largest:

@@ -81,11 +81,31 @@ class Columns:
             raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
 
     def unit(self, name: str) -> str:
-        """Returns the unit of a signal, "" if the FMU gives none."""
+        """Returns the unit of a signal, "" if the FMU gives none.
+
+        Parameters
+        ----------
+        name : str
+            "component.variable", or "time".
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        OrchestrationError
+            If the signal was not recorded; the message names the nearest one.
+        """
         return "s" if name == TIME else self.units[self._column(name)]
 
     def columns(self) -> list[list[Any]]:
-        """Returns the values of each signal, Strings as text."""
+        """Returns the values of each signal, Strings as text.
+
+        Returns
+        -------
+        list of lists
+        """
         return [self[name].tolist() for name in self.names]
 
 

@@ -20,17 +20,53 @@ def squared_error(signal: str, reference: str, duration: float, scale: float = 1
     """Returns scale^2 (signal - reference)^2 h / duration.
 
     The sum is the square of the metric rmse over the points after the first.
+
+    Parameters
+    ----------
+    signal, reference : str
+        "component.variable" of each.
+    duration : float
+        Duration of the run [s].
+    scale : float
+        Factor of the difference.
+
+    Returns
+    -------
+    Reward
+        Function of the values before and after a step, and its size h [s].
     """
     return lambda before, after, h: (scale * (after[signal] - after[reference])) ** 2 * (h / duration)
 
 
 def effort(signal: str) -> Reward:
-    """Returns the trapezoidal rule of |signal|; the sum is the metric effort."""
+    """Returns the trapezoidal rule of |signal|; the sum is the metric effort.
+
+    Parameters
+    ----------
+    signal : str
+        "component.variable".
+
+    Returns
+    -------
+    Reward
+        Function of the values before and after a step, and its size [s].
+    """
     return lambda before, after, h: 0.5 * h * (np.abs(before[signal]) + np.abs(after[signal]))
 
 
 def total_variation(signal: str) -> Reward:
-    """Returns |change of the signal|; the sum is the metric total_variation."""
+    """Returns |change of the signal|; the sum is the metric total_variation.
+
+    Parameters
+    ----------
+    signal : str
+        "component.variable".
+
+    Returns
+    -------
+    Reward
+        Function of the values before and after a step, and its size [s].
+    """
     return lambda before, after, h: np.abs(after[signal] - before[signal])
 
 
@@ -48,12 +84,17 @@ def reward_of(
 
     Parameters
     ----------
-    metrics
-        As a scenario declares them.
-    weights
+    metrics : mapping
+        Name -> function and its arguments, as a scenario declares them.
+    weights : mapping
         Metric -> factor, negative for a metric to reduce.
-    duration
-        Of the run [s].
+    duration : float
+        Duration of the run [s].
+
+    Returns
+    -------
+    tuple
+        Reward, and list of names.
 
     Raises
     ------

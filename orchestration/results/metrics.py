@@ -47,6 +47,23 @@ def settling_time(
     """Returns the last time [s] in the window with |signal - target| > band; its beginning if never.
 
     Not a number if the signal is outside the band at the end of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    target : float
+        In the unit of the signal.
+    band : float
+        Largest distance from the target of a settled signal, in its unit.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
     """
     inside = _window(recording, window)
     # negated: a value that is not a number is outside
@@ -64,20 +81,70 @@ def rmse(
     window: list[float] | None = None,
     scale: float = 1.0,
 ) -> Any:
-    """Returns scale * sqrt(mean((signal - reference)^2)) over the communication points of the window."""
+    """Returns scale * sqrt(mean((signal - reference)^2)) over the communication points of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal, reference : str
+        "component.variable" of each.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+    scale : float
+        Factor of the result, such as 100.0 for cm of a signal in m.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     return scale * np.sqrt(np.mean(_error(recording, signal, reference, window)[1] ** 2, axis=-1))
 
 
 @along_time
 def recovery_time(recording: Recording, signal: str, target: float, band: float, window: list[float]) -> Any:
-    """Returns the `settling_time` [s] since the beginning of the window, when a disturbance sets in."""
+    """Returns the `settling_time` [s] since the beginning of the window, when a disturbance sets in.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    target : float
+        In the unit of the signal.
+    band : float
+        Largest distance from the target of a settled signal, in its unit.
+    window : list of two floats
+        Start and end [s].
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     begin = recording.time[_window(recording, window)][0]
     return settling_time(recording, signal, target, band, window) - float(begin)
 
 
 @along_time
 def std(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
-    """Returns scale * standard deviation about the mean, over the communication points of the window."""
+    """Returns scale * standard deviation about the mean, over the communication points of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+    scale : float
+        Factor of the result, such as 100.0 for cm of a signal in m.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     return scale * recording[signal][..., _window(recording, window)].std(axis=-1)
 
 
@@ -85,7 +152,26 @@ def std(recording: Recording, signal: str, window: list[float] | None = None, sc
 def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> Any:
     """Returns the largest excess of the signal over the target, in percent of the target, at least 0.
 
-    Raises ScenarioError for a target of 0.
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    target : float
+        In the unit of the signal, not 0.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In percent.
+
+    Raises
+    ------
+    ScenarioError
+        For a target of 0.
     """
     if target == 0.0:
         raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
@@ -96,13 +182,43 @@ def overshoot(recording: Recording, signal: str, target: float, window: list[flo
 
 @along_time
 def mean(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
-    """Returns the mean over the communication points of the window."""
+    """Returns the mean over the communication points of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the unit of the signal.
+    """
     return recording[signal][..., _window(recording, window)].mean(axis=-1)
 
 
 @along_time
 def effort(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
-    """Returns the integral of |signal| dt, by the trapezoidal rule."""
+    """Returns the integral of |signal| dt, by the trapezoidal rule.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the unit of the signal times s.
+    """
     inside = _window(recording, window)
     values = recording[signal][..., inside]
     return np.trapezoid(np.abs(values), np.asarray(recording.time[inside], like=values))
@@ -110,19 +226,67 @@ def effort(recording: Recording, signal: str, window: list[float] | None = None)
 
 @along_time
 def peak(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
-    """Returns scale * largest |signal| at the communication points of the window."""
+    """Returns scale * largest |signal| at the communication points of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+    scale : float
+        Factor of the result, such as 100.0 for cm of a signal in m.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     return scale * np.abs(recording[signal][..., _window(recording, window)]).max(axis=-1)
 
 
 @along_time
 def maximum(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
-    """Returns scale * largest value at the communication points of the window, with its sign."""
+    """Returns scale * largest value at the communication points of the window, with its sign.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+    scale : float
+        Factor of the result, such as 100.0 for cm of a signal in m.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     return scale * recording[signal][..., _window(recording, window)].max(axis=-1)
 
 
 @along_time
 def minimum(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
-    """Returns scale * least value at the communication points of the window, with its sign."""
+    """Returns scale * least value at the communication points of the window, with its sign.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+    scale : float
+        Factor of the result, such as 100.0 for cm of a signal in m.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     return scale * recording[signal][..., _window(recording, window)].min(axis=-1)
 
 
@@ -130,20 +294,66 @@ def minimum(recording: Recording, signal: str, window: list[float] | None = None
 def peak_error(
     recording: Recording, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
 ) -> Any:
-    """Returns scale * largest |signal - reference| at the communication points of the window."""
+    """Returns scale * largest |signal - reference| at the communication points of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal, reference : str
+        "component.variable" of each.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+    scale : float
+        Factor of the result, such as 100.0 for cm of a signal in m.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+    """
     return scale * np.abs(_error(recording, signal, reference, window)[1]).max(axis=-1)
 
 
 @along_time
 def iae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
-    """Returns the integral of the absolute error, |signal - reference| dt, by the trapezoidal rule."""
+    """Returns the integral of the absolute error, |signal - reference| dt, by the trapezoidal rule.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal, reference : str
+        "component.variable" of each.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the unit of the signal times s.
+    """
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid(np.abs(error), time)
 
 
 @along_time
 def ise(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
-    """Returns the integral of the squared error, (signal - reference)^2 dt, by the trapezoidal rule."""
+    """Returns the integral of the squared error, (signal - reference)^2 dt, by the trapezoidal rule.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal, reference : str
+        "component.variable" of each.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the square of the unit of the signal times s.
+    """
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid(error**2, time)
 
@@ -152,7 +362,21 @@ def ise(recording: Recording, signal: str, reference: str, window: list[float] |
 def itae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Returns the integral of the absolute error times time, t |signal - reference| dt, trapezoidal rule.
 
-    t: since the beginning of the window, which is the run by default
+    The time t counts from the beginning of the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal, reference : str
+        "component.variable" of each.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the unit of the signal times s2.
     """
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid((time - time[0]) * np.abs(error), time)
@@ -169,7 +393,24 @@ def _error(
 
 @run_by_run
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
-    """Returns the energy that the exchange of an effort, the signal, and a flow at points creates."""
+    """Returns the energy that the exchange of an effort, the signal, and a flow at points creates.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    flow : str
+        "component.variable" of the flow: signal times flow is a power.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the unit of signal times flow times s.
+    """
     inside = _window(recording, window)
     return float(energy_residuals(recording, signal, flow)[inside.start : inside.stop - 1].sum())
 
@@ -183,6 +424,21 @@ def time_below(
     The signal is lines between points.
 
     Not a number if it is never above `after` in the window.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    limit, after : float
+        In the unit of the signal.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
     """
     inside = _window(recording, window)
     time, values = recording.time[inside], recording[signal][inside]
@@ -205,6 +461,21 @@ def time_above(recording: Recording, signal: str, limit: float, window: list[flo
     """Returns how long [s] the signal is above the limit. The signal is lines between points.
 
     Not a number if a value of the signal is not a number.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    limit : float
+        In the unit of the signal.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
     """
     inside = _window(recording, window)
     values = recording[signal][inside]
@@ -223,6 +494,22 @@ def duty_cycle(
     The signal keeps its value until the next communication point.
 
     Not a number if the window has a single point, or if a value of the signal is not a number.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    limit : float
+        In the unit of the signal; by default between false, 0, and true, 1.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In percent.
     """
     inside = _window(recording, window)
     durations, values = np.diff(recording.time[inside]), recording[signal][inside]
@@ -235,7 +522,24 @@ def duty_cycle(
 def total_variation(
     recording: Recording, signal: str, every: float | None = None, window: list[float] | None = None
 ) -> Any:
-    """Returns the sum of |change| between communication points, or between points `every` seconds apart."""
+    """Returns the sum of |change| between communication points, or between points `every` seconds apart.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    every : float, optional
+        Time between the points [s].
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
+        In the unit of the signal.
+    """
     inside = _window(recording, window)
     time, values = recording.time[inside], recording[signal][..., inside]
     if every is not None:
@@ -255,6 +559,21 @@ def phase_lag(
 
     It is within half a period; a longer delay appears reduced by whole periods. Not a number without an
     oscillation.
+
+    Parameters
+    ----------
+    recording : Recording
+        One run, or many with a first axis of runs.
+    signal : str
+        "component.variable".
+    angular_frequency : float
+        In rad/s.
+    window : list of two floats, optional
+        Start and end [s]; by default the whole run.
+
+    Returns
+    -------
+    float, or array of shape (runs,)
     """
     inside = _window(recording, window)
     angle = angular_frequency * recording.time[inside]

@@ -66,7 +66,12 @@ class Recording(files.Columns):
         return len(self.names)
 
     def keys(self) -> tuple[str, ...]:
-        """Returns the names of the signals."""
+        """Returns the names of the signals.
+
+        Returns
+        -------
+        tuple of str
+        """
         return self.names
 
     @property
@@ -75,7 +80,17 @@ class Recording(files.Columns):
         return self.values.shape[0] if self.values.ndim == 3 else None
 
     def run(self, index: int) -> "Recording":
-        """Returns the recording of one of many runs."""
+        """Returns the recording of one of many runs.
+
+        Parameters
+        ----------
+        index : int
+            Number of the run, from 0.
+
+        Returns
+        -------
+        Recording
+        """
         return replace(self, values=on_host(self.values[index]))
 
     def __repr__(self) -> str:
@@ -99,11 +114,15 @@ class Recording(files.Columns):
 
         Parameters
         ----------
-        *names
+        *names : str
             Signals, by default all that are numbers. A panel has at most four, of one unit.
-        beside
+        beside : Recording or mapping, optional
             Another recording, or several by their labels in the legend, drawn over this one with other
             dashes. A signal that is missing there, or equal, is drawn once.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
 
         Raises
         ------
@@ -144,7 +163,12 @@ class Recording(files.Columns):
     def to_pandas(self) -> "pd.DataFrame":
         """Returns a table with a column for each signal and the time [s] as index.
 
-        Its `attrs` have "units" (name -> unit) and "provenance". It needs the extra `tables`.
+        It needs the extra `tables`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Its `attrs` have "units" (name -> unit) and "provenance".
         """
         pandas = require("pandas", "tables", "a recording as a data frame")
         table = pandas.DataFrame(
@@ -159,8 +183,12 @@ class Recording(files.Columns):
     def to_xarray(self) -> "xr.Dataset":
         """Returns a data set with a variable for each signal over the coordinate "time" [s].
 
-        Each variable has the attribute "units", the data set has "provenance" as JSON. It needs the extra
-        `tables`.
+        It needs the extra `tables`.
+
+        Returns
+        -------
+        xarray.Dataset
+            Each variable has the attribute "units", the data set has "provenance" as JSON.
         """
         xarray = require("xarray", "tables", "a recording as a data set")
         columns = zip(self.names, self.units, strict=True)
@@ -175,7 +203,7 @@ class Recording(files.Columns):
 
         Parameters
         ----------
-        path
+        path : str or Path
             Ends in .csv, or in .parquet for a file with the provenance.
 
         Raises
@@ -188,6 +216,15 @@ class Recording(files.Columns):
     @staticmethod
     def read(path: str | Path) -> "Recording":
         """Reads a file of `write`; a recording from CSV has no provenance.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Recording
 
         Raises
         ------

@@ -30,11 +30,22 @@ _HEAD = ("position", "time", "step_control", "past", "strings")  # members of a 
 class Checkpoint:
     """A saved system.
 
-    position, time: index and time [s] of the communication point
-    step_control: `StepControl.state`
-    past: part of the run -> digest of its data until then
-    strings: the table of `Strings`, whose numbers are in the arrays
-    states: component -> serialised state of its FMU; arrays: the loop's, by name
+    Parameters
+    ----------
+    position : int
+        Index of the communication point.
+    time : float
+        Its time [s].
+    step_control : mapping
+        `StepControl.state`.
+    past : mapping
+        Part of the run -> digest of its data until then.
+    strings : list of str
+        The table of `Strings`, whose numbers are in the arrays.
+    states : mapping
+        Component -> serialised state of its FMU.
+    arrays : mapping
+        Name -> array of the loop.
     """
 
     position: int
@@ -46,7 +57,13 @@ class Checkpoint:
     arrays: Mapping[str, np.ndarray]
 
     def write(self, path: str | Path) -> None:
-        """Writes the file; an older one is replaced when the new one is complete."""
+        """Writes the file; an older one is replaced when the new one is complete.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        """
         head = {name: getattr(self, name) for name in _HEAD}
         head |= {"version": _VERSION, "components": list(self.states)}
         content: dict[str, Any] = {
@@ -59,7 +76,16 @@ class Checkpoint:
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:
-    """Reads the file of `Checkpoint.write`.
+    """Returns the checkpoint of a file, from which `simulate` continues a run.
+
+    Parameters
+    ----------
+    path : str or Path
+        File of `Checkpoint.write`.
+
+    Returns
+    -------
+    Checkpoint
 
     Raises
     ------
@@ -193,6 +219,11 @@ class Checkpoints:
         The file; each checkpoint replaces the one before.
     every : float
         Simulated time between checkpoints [s]; by default only an interrupted run is saved.
+
+    Raises
+    ------
+    OrchestrationError
+        For an interval that is not above 0.
     """
 
     path: str | Path
@@ -203,11 +234,25 @@ class Checkpoints:
             raise OrchestrationError(f"a checkpoint every {self.every!r} s: expected more than 0")
 
     def save(self, run: Run) -> None:
-        """Writes a checkpoint of the present communication point."""
+        """Writes a checkpoint of the present communication point.
+
+        Parameters
+        ----------
+        run : Run
+            The run to save.
+        """
         capture(run).write(self.path)
 
     def save_until_done(self, run: Run, progress: Progress | None = None) -> None:
-        """Advances a run to its end, and saves when due."""
+        """Advances a run to its end, and saves when due.
+
+        Parameters
+        ----------
+        run : Run
+            The run to save.
+        progress : callable, optional
+            See `Run.advance`.
+        """
         while True:
             run.advance(run.time + self.every, progress)
             if run.is_done:
@@ -215,7 +260,18 @@ class Checkpoints:
             self.save(run)
 
     def save_interrupted(self, run: Run) -> str:
-        """Saves an interrupted run; returns the end of its error message."""
+        """Saves an interrupted run.
+
+        Parameters
+        ----------
+        run : Run
+            The run to save.
+
+        Returns
+        -------
+        str
+            End of its error message.
+        """
         try:
             self.save(run)
         except (OrchestrationError, OSError) as error:

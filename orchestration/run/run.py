@@ -78,9 +78,14 @@ class Run:
     error estimate sets the caller's values at the points that both runs have; it does not close a loop that
     the caller closes.
 
-    failure: why the run cannot go on; empty if it can
-    batch: steps of the next batch
-    written: the caller's values so far, if the error is to be estimated
+    Attributes
+    ----------
+    failure : str
+        Why the run cannot go on; empty if it can.
+    batch : int
+        Steps of the next batch.
+    written : list
+        The caller's values so far, if the error is to be estimated.
     """
 
     # time [s] when a step of any run looks again, as the runs share the process
@@ -97,7 +102,20 @@ class Run:
     ) -> None:
         """Makes a run of FMUs that are not initialised.
 
-        threads: see `StepThreads`; pacing: in real time; estimate: adds the error estimate to a recording
+        Parameters
+        ----------
+        wired : WiredRun
+            The FMUs and their loop.
+        guard : ProcessGuard
+            Restores what FMUs change in this process.
+        statistics : RunStatistics
+            Times of the phases.
+        threads : int, optional
+            See `StepThreads`.
+        pacing : Pacing, optional
+            In real time.
+        estimate : callable, optional
+            Adds the error estimate to a recording.
         """
         self.wired, self.prepared, self.wiring = wired, wired.prepared, wired.wiring
         self.statistics, self.failure, self.batch = statistics, "", 1
@@ -169,7 +187,13 @@ class Run:
         return not self.prepared.system.components_without("canGetAndSetFMUstate")
 
     def initialise(self) -> None:
-        """Gives new FMUs their initial values, and reads the outputs at the first communication point."""
+        """Gives new FMUs their initial values, and reads the outputs at the first communication point.
+
+        Raises
+        ------
+        SimulationError
+            If an FMU refuses.
+        """
         try:
             with self.statistics.phase("initialisation"):
                 initialise(self.prepared, self.wired.instances)
@@ -183,8 +207,12 @@ class Run:
     def step(self) -> None:
         """Steps to the next communication point.
 
-        Raises SimulationError if the step fails: its `recording` holds the values recorded until then;
-        OrchestrationError if the run is done.
+        Raises
+        ------
+        SimulationError
+            If the step fails; its `recording` has the values recorded until then.
+        OrchestrationError
+            If the run is done.
         """
         point = self._report[_POSITION]
         if self.failure or self._report[_TERMINATED] or point == self._last:
@@ -210,10 +238,23 @@ class Run:
             raise self.failed(error) from error
 
     def advance(self, to: float = math.inf, progress: Progress | None = None) -> None:
-        """Steps to the first communication point that is not before `to` [s], or to the end of the run.
+        """Steps to the first communication point that is not before `to`, or to the end of the run.
 
-        progress: called some ten times a second
-        Raises what `step` does, and KeyboardInterrupt at a communication point, from where the run can go on.
+        Parameters
+        ----------
+        to : float
+            Time [s].
+        progress : callable, optional
+            Called some ten times a second with the number of communication points done, and of all.
+
+        Raises
+        ------
+        SimulationError
+            If a step fails; its `recording` has the values recorded until then.
+        OrchestrationError
+            If the run has failed before.
+        KeyboardInterrupt
+            At a communication point, from where the run can go on.
         """
         if self.failure:
             raise OrchestrationError(self.failure)
@@ -271,7 +312,13 @@ class Run:
         self._look_around()
 
     def record_now(self) -> bool:
-        """Records the present communication point too, for a run that ends here; False if it failed."""
+        """Records the present communication point too, for a run that ends here.
+
+        Returns
+        -------
+        bool
+            False if it failed.
+        """
         if self.is_terminated and self._report[_RECORDED] > self.point:
             # components that cannot go back have stepped past this point: their present values are of a later
             # time
@@ -336,7 +383,17 @@ class Run:
             self._guard.restore(f"one of {names}" if len(self.wired.instances) > 1 else names)
 
     def failed(self, error: Exception) -> SimulationError:
-        """Returns the error of a run that cannot go on, with the values recorded until then."""
+        """Returns the error of a run that cannot go on, with the values recorded until then.
+
+        Parameters
+        ----------
+        error : Exception
+            Its cause.
+
+        Returns
+        -------
+        SimulationError
+        """
         self.failure = reason_of(error)
         return SimulationError(self.failure, self.recorded())
 
@@ -350,35 +407,105 @@ class Run:
             raise OrchestrationError(self.failure)
 
     def read(self, name: str) -> Any:
-        """Returns the present value of "component.variable", in the type of Python that it has."""
+        """Returns the present value of a variable.
+
+        Parameters
+        ----------
+        name : str
+            "component.variable".
+
+        Returns
+        -------
+        float, int, bool or str
+            In the type that the variable has in Python.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For an unknown variable.
+        OrchestrationError
+            If the run has ended.
+        """
         self._check_not_ended()
         return self._access.read(name)
 
     def set(self, name: str, value: Value) -> None:
-        """Sets "component.variable", from the present communication point on.
+        """Sets a variable, from the present communication point on.
 
         It is an external input, an input that the experiment gives a constant value, or a tunable parameter;
-        the latter two are recorded if `record` names them. Raises SystemDefinitionError for another variable,
-        and for a value of another type or outside the declared range.
+        the latter two are recorded if `record` names them.
+
+        Parameters
+        ----------
+        name : str
+            "component.variable".
+        value : float, int, bool or str
+            In the unit of the variable.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For another variable, and for a value of another type or outside the declared range.
+        OrchestrationError
+            If the run has ended.
         """
         self._check_not_ended()
         self._access.writer(name)(value)
 
     def reader(self, *names: str) -> Reader:
-        """Returns a quick `read`: a function that returns the present number of one variable, or a tuple.
+        """Returns a quick `read` of the same variables again and again, for this run alone.
 
-        It serves this run alone. Booleans are 0.0 and 1.0, as in a recording.
+        Parameters
+        ----------
+        *names : str
+            "component.variable" of each.
+
+        Returns
+        -------
+        function
+            Without arguments. It returns the present number of one variable, or a tuple of several; Booleans
+            are 0.0 and 1.0, as in a recording.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For an unknown variable, a String, and no name.
         """
         return self._access.reader(*names)
 
     def writer(self, *names: str) -> Writer:
-        """Returns a function that sets one variable or several in order: a quick `set` for this run alone."""
+        """Returns a quick `set` of the same variables again and again, for this run alone.
+
+        Parameters
+        ----------
+        *names : str
+            "component.variable" of each.
+
+        Returns
+        -------
+        function
+            Its arguments are a value for each variable, in order.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For a variable that `set` refuses.
+        """
         return self._access.writer(*names)
 
     def recording(self) -> Recording:
         """Returns the values recorded until now, including the present communication point.
 
         An error estimate of anything new loads the FMUs a second time.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        OrchestrationError
+            If the run has ended.
         """
         self._check_not_ended()
         if not self.failure:
@@ -388,7 +515,17 @@ class Run:
         return self._estimate(self, recording) if self._estimate else recording
 
     def recorded(self, is_final: bool = False) -> Recording:
-        """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
+        """Returns the values recorded until now, without the present communication point.
+
+        Parameters
+        ----------
+        is_final : bool
+            Whether the run has ended, so that the recording may have the rows of the run.
+
+        Returns
+        -------
+        Recording
+        """
         more = self._step_control.provenance if self._step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": self._pacing.report()} if self._pacing else {}
@@ -399,7 +536,15 @@ class Run:
     def save(self) -> SavedState:
         """Returns the whole system at the present communication point: FMUs, connections and record.
 
-        Raises OrchestrationError if an FMU cannot save its state.
+        Returns
+        -------
+        SavedState
+            For `restore`.
+
+        Raises
+        ------
+        OrchestrationError
+            If an FMU cannot save its state, or the run has failed or was terminated.
         """
         if self.failure or self._report[_TERMINATED]:
             raise OrchestrationError(self.failure or self._end())
@@ -419,7 +564,15 @@ class Run:
     def restore(self, state: SavedState) -> None:
         """Goes back to a state that this run saved, also after a failure, or on to one on another way.
 
-        Raises OrchestrationError for a state of another run, and after an FMU returned fatal.
+        Parameters
+        ----------
+        state : SavedState
+            Result of `save`.
+
+        Raises
+        ------
+        OrchestrationError
+            For a state of another run, and after an FMU returned fatal.
         """
         self._check_not_ended()
         if state.unused is not self._unused:

@@ -112,24 +112,32 @@ def table_of(
     def make() -> type[Table]:
         fields: dict[str, Any] = {key: (Literal[kind], ...), **(also or {})}
         for builder in builders:
+            _, meanings = _text_and_meanings(builder)
             for argument in inspect.signature(builder).parameters.values():
                 if argument.name not in without:
                     hint = _FILE_TYPES.get(argument.annotation, argument.annotation)
                     hint = (types or {}).get(argument.name, hint)
-                    fields[argument.name] = hint, _default(argument.default)
-        text = (inspect.getdoc(builders[-1]) or "").removeprefix("Returns ")
+                    fields[argument.name] = hint, _field(argument.default, meanings.get(argument.name))
+        text, _ = _text_and_meanings(builders[-1])
         return create_model(f"{kind} table", __base__=Table, __doc__=text, **fields)
 
     return cache(make)
 
 
-def _default(value: Any) -> Any:
-    if value is inspect.Parameter.empty:
-        return ...
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+def _text_and_meanings(builder: Callable[..., object]) -> tuple[str, dict[str, str]]:
+    """Returns a docstring above its sections, and argument -> meaning from its section Parameters."""
+    text, *sections = re.split(r"\n\n(?=\w+\n-+\n)", inspect.getdoc(builder) or "")
+    listed = next((one for one in sections if one.startswith("Parameters\n")), "")
+    items = re.findall(r"^(\w[\w, ]*) : .*\n((?: {4}.*(?:\n|$))+)", listed, re.M)
+    meanings = {name: " ".join(lines.split()) for names, lines in items for name in names.split(", ")}
+    return text.removeprefix("Returns "), meanings
+
+
+def _field(default: Any, meaning: str | None) -> Any:
+    if default is None or (isinstance(default, float) and not math.isfinite(default)):
         # JSON has neither INF nor NaN: the schema states no default
-        return Field(default_factory=lambda: value)
-    return value
+        return Field(default_factory=lambda: default, description=meaning)
+    return Field(... if default is inspect.Parameter.empty else default, description=meaning)
 
 
 class OneOf:

@@ -86,6 +86,10 @@ def task_of(
     **settings
         Members of `Task`, in place of the scenario's.
 
+    Returns
+    -------
+    Task
+
     Raises
     ------
     ScenarioError

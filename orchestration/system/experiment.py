@@ -144,11 +144,26 @@ class Experiment:
         return (*self.inputs, *self.signals)
 
     def period(self, component: str) -> int:
-        """Returns the number of communication steps in one step of a component."""
+        """Returns the number of communication steps in one step of a component.
+
+        Parameters
+        ----------
+        component : str
+            Name of the component.
+
+        Returns
+        -------
+        int
+        """
         return round(self.step_sizes.get(component, self.step_size) / self.step_size)
 
     def time_resolution(self) -> float:
-        """Returns the largest difference [s] of equal times: a small part of a step, above rounding."""
+        """Returns the largest difference [s] of equal times: a small part of a step, above rounding.
+
+        Returns
+        -------
+        float
+        """
         rounding = 4.0 * np.finfo(float).eps * max(abs(self.start_time), abs(self.stop_time))
         return max(GRID_TOLERANCE * self.step_size, float(rounding))
 
@@ -158,7 +173,12 @@ class Experiment:
         return step_count(self.start_time, self.stop_time, self.step_size)
 
     def time_grid(self) -> np.ndarray:
-        """Returns start time, stop time and the multiples of the step size between them [s], shape (n,)."""
+        """Returns start time, stop time and the multiples of the step size between them [s].
+
+        Returns
+        -------
+        array, shape (n,)
+        """
         return time_grid(self.start_time, self.stop_time, self.step_size)
 
 

@@ -48,7 +48,22 @@ class Effect:
     for_every_type: ClassVar[bool] = True
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
-        """Returns the pattern of the samples `inside`, consecutive ones and at least one."""
+        """Returns the pattern of the samples of the window.
+
+        Parameters
+        ----------
+        inside : array of int
+            Indices of the samples of the window, consecutive ones and at least one.
+        times : array, shape (n,)
+            Times of all samples of the run [s].
+        stream : numpy.random.Generator
+            Random numbers of the fault.
+
+        Returns
+        -------
+        Pattern
+            For the samples `inside`.
+        """
         raise NotImplementedError
 
 
@@ -62,7 +77,18 @@ class Freeze(Effect):
 
 @dataclass(frozen=True)
 class Stuck(Effect):
-    """A stuck signal: `value` arrives, whatever is sent."""
+    """A stuck signal: `value` arrives, whatever is sent.
+
+    Parameters
+    ----------
+    value : float or bool
+        In the unit of the input.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a number that is not finite.
+    """
 
     value: float | bool
 
@@ -76,7 +102,18 @@ class Stuck(Effect):
 
 @dataclass(frozen=True)
 class Offset(Effect):
-    """An offset: `value` is added."""
+    """An offset: `value` is added.
+
+    Parameters
+    ----------
+    value : float
+        In the unit of the input.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a number that is not finite.
+    """
 
     for_every_type = False
     value: float
@@ -90,7 +127,18 @@ class Offset(Effect):
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """A drift: `rate` times the time since the first communication point of the window is added."""
+    """A drift: `rate` times the time since the first communication point of the window is added.
+
+    Parameters
+    ----------
+    rate : float
+        In the unit of the input per s.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a number that is not finite.
+    """
 
     for_every_type = False
     rate: float
@@ -104,7 +152,20 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Noise(Effect):
-    """Noise: independent Gaussian numbers of this standard deviation are added."""
+    """Noise: independent Gaussian numbers of this standard deviation are added.
+
+    Parameters
+    ----------
+    standard_deviation : float
+        In the unit of the input, 0 or more.
+    seed : int
+        Seed of the random numbers, 0 or more.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a value out of its range.
+    """
 
     for_every_type = False
     standard_deviation: float
@@ -123,6 +184,18 @@ class DropOut(Effect):
     """Drop-outs: each sample is lost with this probability, independently; the last that arrived holds.
 
     The first sample of a run always arrives: before it there is nothing to hold.
+
+    Parameters
+    ----------
+    probability : float
+        Probability 0 to 1 of each sample.
+    seed : int
+        Seed of the random numbers, 0 or more.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a value out of its range.
     """
 
     probability: float
@@ -141,7 +214,18 @@ class DropOut(Effect):
 
 @dataclass(frozen=True)
 class Delay(Effect):
-    """A delay: the sample of the communication point nearest to `delay` seconds ago; at first the first."""
+    """A delay: the sample of the communication point nearest to `delay` seconds ago; at first the first.
+
+    Parameters
+    ----------
+    delay : float
+        Delay [s], more than 0.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a value out of its range.
+    """
 
     delay: float
 
@@ -159,6 +243,16 @@ class InterpolatedDelay(Effect):
     """A delay with interpolation: the value of `delay` seconds ago, on a line between two samples, arrives.
 
     Before there is one, the first sample arrives.
+
+    Parameters
+    ----------
+    delay : float
+        Delay [s], 0 or more.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a value out of its range.
     """
 
     for_every_type = False
@@ -178,7 +272,18 @@ class InterpolatedDelay(Effect):
 
 @dataclass(frozen=True)
 class Scale(Effect):
-    """A scale: `factor` times the value arrives, by a wrong gain of an actuator or a sensor."""
+    """A scale: `factor` times the value arrives, by a wrong gain of an actuator or a sensor.
+
+    Parameters
+    ----------
+    factor : float
+        Factor of the value, 1 without a fault.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For a number that is not finite.
+    """
 
     for_every_type = False
     factor: float
@@ -221,6 +326,11 @@ class Fault:
     ------
     SystemDefinitionError
         For an end that is not after the start.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Offset(0.1), start=20.0)
+    Fault(input='controller.depth', effect=Offset(value=0.1), start=20.0, end=inf)
     """
 
     input: str
@@ -237,7 +347,17 @@ class Fault:
             )
 
     def pattern(self, times: np.ndarray) -> Pattern:
-        """Returns the pattern of every sample, at these times [s]."""
+        """Returns the pattern of every sample.
+
+        Parameters
+        ----------
+        times : array, shape (n,)
+            Times of the samples [s], ascending.
+
+        Returns
+        -------
+        Pattern
+        """
         everywhere = Pattern.of_one(np.arange(len(times)), np.zeros(len(times)))
         inside = within(times, self.start, self.end)
         if not len(inside):
@@ -250,7 +370,12 @@ class Fault:
         return Pattern(source, weight, everywhere.addition)
 
     def stream(self) -> "np.random.Generator":
-        """Returns random numbers that follow from seed, input and kind alone."""
+        """Returns random numbers that follow from seed, input and kind alone.
+
+        Returns
+        -------
+        numpy.random.Generator
+        """
         key = f"{type(self.effect).__name__} {self.input}".encode()
         seed = getattr(self.effect, "seed", 0)
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))

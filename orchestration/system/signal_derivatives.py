@@ -21,9 +21,21 @@ from orchestration.system.signals import (
 
 @dataclass(frozen=True)
 class Derivative(ArraySignal):
-    """The derivative of that order, 1 or 2, of the signal `of` another input.
+    """The derivative of the signal of another input by time.
 
     At a kink it is the derivative after it, which holds over the next communication step.
+
+    Parameters
+    ----------
+    of : str
+        Input, "component.variable", that has a signal or a constant value.
+    order : {1, 2}
+        Order of the derivative.
+
+    Raises
+    ------
+    ScenarioError
+        For another order.
     """
 
     of: str

@@ -23,6 +23,18 @@ class ArraySignal:
     """A signal that is given for many times at once: `at` maps ascending times, (n,), to values, (n,)."""
 
     def at(self, times: np.ndarray) -> np.ndarray:
+        """Returns the signal at many times.
+
+        Parameters
+        ----------
+        times : array, shape (n,)
+            Ascending times [s].
+
+        Returns
+        -------
+        array, shape (n,)
+            Values in the unit of the input.
+        """
         raise NotImplementedError
 
     def __call__(self, t: float) -> float:
@@ -40,7 +52,22 @@ def values_at(signal: Signal, times: np.ndarray) -> np.ndarray:
 class Ramps(ArraySignal):
     """Ramps: lines through (time, value), held before the first and after the last point.
 
-    smooth: quintic ramps instead, with zero speed and acceleration at both ends of each.
+    Parameters
+    ----------
+    points : sequence of pairs
+        (time [s], value in the unit of the input), in ascending time.
+    smooth : bool
+        Whether ramps are quintic, with zero speed and acceleration at both ends of each, and not straight.
+
+    Raises
+    ------
+    ScenarioError
+        For points that are no pairs of numbers, or whose times do not ascend.
+
+    Examples
+    --------
+    >>> Ramps([(0.0, 0.0), (10.0, 2.0)])(5.0)
+    1.0
     """
 
     points: Sequence[Sequence[float]]
@@ -66,7 +93,18 @@ class Ramps(ArraySignal):
         return values
 
     def derivative(self, order: int) -> Signal:
-        """Returns the derivative of order 1 or 2."""
+        """Returns the derivative by time.
+
+        Parameters
+        ----------
+        order : {1, 2}
+            Order of the derivative.
+
+        Returns
+        -------
+        Signal
+            Values in the unit of the input per s or per s2.
+        """
         if self.smooth:
             return _RampRates(self.points, order)
         times, values = zip(*self.points, strict=True)
@@ -91,7 +129,29 @@ class _RampRates(ArraySignal):
 
 @dataclass(frozen=True)
 class Cosine(ArraySignal):
-    """A cosine: offset + amplitude cos(angular_frequency t + phase), rad/s and rad."""
+    """A cosine: offset + amplitude cos(angular_frequency t + phase).
+
+    Parameters
+    ----------
+    amplitude : float
+        In the unit of the input.
+    angular_frequency : float
+        In rad/s.
+    phase : float
+        Angle at t = 0 s [rad].
+    offset : float
+        Mean, in the unit of the input.
+
+    Raises
+    ------
+    ScenarioError
+        For a value that is no number.
+
+    Examples
+    --------
+    >>> Cosine(2.0, 0.5, offset=1.0)(0.0)
+    3.0
+    """
 
     amplitude: float
     angular_frequency: float
@@ -105,7 +165,18 @@ class Cosine(ArraySignal):
         return self.offset + self.amplitude * np.cos(self.angular_frequency * times + self.phase)
 
     def derivative(self, order: int) -> "Cosine":
-        """Returns the derivative of an order."""
+        """Returns the derivative by time.
+
+        Parameters
+        ----------
+        order : int
+            Order of the derivative, from 1 on.
+
+        Returns
+        -------
+        Cosine
+            Values in the unit of the input per s^order.
+        """
         omega = self.angular_frequency
         return Cosine(self.amplitude * omega**order, omega, self.phase + 0.5 * np.pi * order)
 
@@ -123,7 +194,23 @@ class Later(ArraySignal):
 
 @dataclass(frozen=True)
 class Constant(ArraySignal):
-    """A constant: one value at every time."""
+    """A constant: one value at every time.
+
+    Parameters
+    ----------
+    value : float
+        In the unit of the input.
+
+    Raises
+    ------
+    ScenarioError
+        For a value that is no number.
+
+    Examples
+    --------
+    >>> Constant(3.0)(10.0)
+    3.0
+    """
 
     value: float
 
@@ -134,16 +221,45 @@ class Constant(ArraySignal):
         return np.full(times.shape, self.value)
 
     def derivative(self, order: int) -> "Constant":
-        """Returns 0."""
+        """Returns the derivative by time, 0.
+
+        Parameters
+        ----------
+        order : int
+            Order of the derivative, from 1 on.
+
+        Returns
+        -------
+        Constant
+        """
         return Constant(0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Table(ArraySignal):
-    """A table: `values` at `times` [s], shapes (n,), held before the first and after the last.
+    """A table: values at times, held before the first and after the last.
 
     Between two times a straight line, or with hold = True the earlier value. Two rows of one time are a jump:
     from that time on the last row's value holds.
+
+    Parameters
+    ----------
+    times : array_like, shape (n,)
+        Times [s], ascending.
+    values : array_like, shape (n,)
+        Values in the unit of the input.
+    hold : bool
+        Whether a value holds until the next time, in place of a straight line.
+
+    Raises
+    ------
+    ScenarioError
+        For times or values that are not finite numbers, are not as many, or do not ascend.
+
+    Examples
+    --------
+    >>> Table([0.0, 10.0], [0.0, 2.0])(5.0), Table([0.0, 10.0], [0.0, 2.0], hold=True)(5.0)
+    (1.0, 0.0)
     """
 
     times: npt.ArrayLike = ()
@@ -183,7 +299,18 @@ class Table(ArraySignal):
         return np.interp(np.maximum(times, np.append(-np.inf, known)[count]), known, values)
 
     def derivative(self, order: int) -> Signal:
-        """Returns the derivative of order 1 or 2; a jump has none, and 0 stands for it."""
+        """Returns the derivative by time; a jump has none, and 0 stands for it.
+
+        Parameters
+        ----------
+        order : {1, 2}
+            Order of the derivative.
+
+        Returns
+        -------
+        Signal
+            Values in the unit of the input per s or per s2.
+        """
         times, values = np.asarray(self.times), np.asarray(self.values)
         is_line = np.diff(times) > 0.0
         if self.hold or order == 2 or not is_line.any():
@@ -231,7 +358,21 @@ _MOST_COMPONENTS = 10_000
 class Sines(ArraySignal):
     """Sines: offset + sum of amplitudes_i sin(angular_frequencies_i t + phases_i).
 
-    amplitudes, offset: in the unit of the input; angular_frequencies [rad/s]; phases [rad]; shapes (n,)
+    Parameters
+    ----------
+    amplitudes : array_like, shape (n,)
+        In the unit of the input.
+    angular_frequencies : array_like, shape (n,)
+        In rad/s.
+    phases : array_like, shape (n,)
+        Angles at t = 0 s [rad].
+    offset : float
+        Mean, in the unit of the input.
+
+    Raises
+    ------
+    ScenarioError
+        For numbers that are not finite, and for other shapes.
     """
 
     amplitudes: npt.ArrayLike
@@ -260,20 +401,83 @@ class Sines(ArraySignal):
         return values
 
     def derivative(self, order: int) -> "Sines":
-        """Returns the derivative of an order."""
+        """Returns the derivative by time.
+
+        Parameters
+        ----------
+        order : int
+            Order of the derivative, from 1 on.
+
+        Returns
+        -------
+        Sines
+            Values in the unit of the input per s^order.
+        """
         omega, phases = np.asarray(self.angular_frequencies), np.asarray(self.phases)
         return Sines(np.asarray(self.amplitudes) * omega**order, omega, phases + 0.5 * np.pi * order)
 
 
 def sine(amplitude: float, frequency: float, phase: float = 0.0, offset: float = 0.0) -> Sines:
-    """Returns offset + amplitude sin(2 pi frequency t + phase), Hz and rad."""
+    """Returns offset + amplitude sin(2 pi frequency t + phase).
+
+    Parameters
+    ----------
+    amplitude : float
+        In the unit of the input.
+    frequency : float
+        In Hz.
+    phase : float
+        Angle at t = 0 s [rad].
+    offset : float
+        Mean, in the unit of the input.
+
+    Returns
+    -------
+    Sines
+
+    Raises
+    ------
+    ScenarioError
+        For a number that is not finite.
+
+    Examples
+    --------
+    >>> sine(2.0, 0.25)(1.0)
+    2.0
+    """
     return Sines([amplitude], [2.0 * np.pi * frequency], [phase], offset)
 
 
 def sum_of_sines(
     amplitudes: npt.ArrayLike, frequencies: npt.ArrayLike, phases: npt.ArrayLike = (), offset: float = 0.0
 ) -> Sines:
-    """Returns offset + sum of amplitudes_i sin(2 pi frequencies_i t + phases_i), Hz and rad; no phases: 0."""
+    """Returns offset + sum of amplitudes_i sin(2 pi frequencies_i t + phases_i).
+
+    Parameters
+    ----------
+    amplitudes : array_like, shape (n,)
+        In the unit of the input.
+    frequencies : array_like, shape (n,)
+        In Hz.
+    phases : array_like, shape (n,)
+        Angles at t = 0 s [rad]; by default 0.
+    offset : float
+        Mean, in the unit of the input.
+
+    Returns
+    -------
+    Sines
+
+    Raises
+    ------
+    ScenarioError
+        For numbers that are not finite, and for other shapes.
+
+    Examples
+    --------
+    >>> sum_of_sines([2.0, 1.0], [0.25, 0.5], phases=[0.0, 0.0], offset=1.0)(0.0)
+    1.0
+    """
     given = np.array(phases, float)
     chosen = given if given.size else np.zeros(np.shape(amplitudes))
     return Sines(amplitudes, 2.0 * np.pi * np.array(frequencies, float), chosen, offset)
@@ -289,15 +493,39 @@ def spectrum(
 ) -> Sines:
     """Returns a sum of sines with the JONSWAP spectrum and random phases, about `offset`.
 
-    standard_deviation: of the signal over a long time, in the unit of the input; a quarter of its
-        significant height
-    peak_period: of the peak of the spectrum [s]
-    gamma: factor of the peak over Pierson and Moskowitz's, 1 or more
-    components: number of sines, each with a random frequency in one of as many equal bands from half the
-        peak frequency to four times the peak frequency, so that the signal has no period
-    seed: of the phases and of the frequencies within their bands
-
     The amplitudes follow from the spectrum at the frequencies: every seed gives the same variance.
+
+    Parameters
+    ----------
+    standard_deviation : float
+        Standard deviation of the signal over a long time, in the unit of the input; a quarter of its
+        significant height.
+    peak_period : float
+        Period of the peak of the spectrum [s].
+    gamma : float
+        Factor of the peak over Pierson and Moskowitz's, 1 or more.
+    components : int
+        Number of sines, each with a random frequency in one of as many equal bands from half the peak
+        frequency to four times the peak frequency, so that the signal has no period.
+    seed : int
+        Seed of the phases and of the frequencies within their bands, 0 or more.
+    offset : float
+        Mean, in the unit of the input.
+
+    Returns
+    -------
+    Sines
+
+    Raises
+    ------
+    ScenarioError
+        For a value out of its range.
+
+    Examples
+    --------
+    >>> sea = spectrum(standard_deviation=0.25, peak_period=8.0)
+    >>> round(float((np.asarray(sea.amplitudes) ** 2).sum() / 2.0), 6)  # the variance
+    0.0625
     """
     _check_spectrum(standard_deviation, peak_period, gamma, components, seed)
     random = np.random.default_rng(seed).random((2, components))

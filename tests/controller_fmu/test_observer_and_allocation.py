@@ -1,19 +1,16 @@
 """The alpha-beta observer and the way from force to voltages."""
 
-import doctest
 import math
 from dataclasses import replace
-from types import ModuleType
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller_fmu import allocation, depth_interface, design, observer, thrust_allocation
+from controller_fmu import depth_interface, thrust_allocation
 from controller_fmu.allocation import body_to_earth, force, saturate, table_voltage
 from controller_fmu.baselines import adrc, pid
-from controller_fmu.l1 import augmentation, lowpass, projection
 from controller_fmu.observer import ObserverState, correct, sample_when_due
 from fmus.block.instance import BlockError
 from fmus.numerics import Clock, interp
@@ -135,10 +132,3 @@ def test_a_table_without_an_inverse_is_refused_if_it_is_used(
     driver(block, **change).begin()
     with pytest.raises(BlockError, match=expected):
         driver(block, thruster_tabulated=True, **change).begin()
-
-
-@pytest.mark.parametrize("module", [allocation, augmentation, design, lowpass, observer, projection])
-def test_the_examples_of_the_docstrings_run(module: ModuleType) -> None:
-    failed, attempted = doctest.testmod(module)
-    assert attempted
-    assert not failed

@@ -1,6 +1,5 @@
 """The vehicle's dynamics against analytic solutions."""
 
-import doctest
 import math
 from typing import Any
 
@@ -125,9 +124,3 @@ def test_the_sensor_reads_the_pressure_of_waves_as_depth(driver: Any, ideal: boo
     plant.step(0.04)
     assert plant["depth"] == pytest.approx(1.0, abs=1e-8)  # 1.2 N on 1e6 kg
     assert plant["measured_depth"] == pytest.approx(0.8, abs=1e-8)
-
-
-def test_the_examples_of_the_docstrings_run() -> None:
-    failed, attempted = doctest.testmod(heave)
-    assert attempted
-    assert not failed

@@ -83,7 +83,17 @@ class Controller:
     step: float = 0.0
 
     def variable(self, name: str) -> str:
-        """Returns "controller.variable" for a name of the depth control interface."""
+        """Returns "controller.variable" for a name of the depth control interface.
+
+        Parameters
+        ----------
+        name : str
+            Name of the interface, such as "depth_reference".
+
+        Returns
+        -------
+        str
+        """
         return OWN + self.mapping.get(name, name)
 
 

@@ -1,6 +1,5 @@
 """One declaration gives every name, reference, type and limit."""
 
-import doctest
 import sys
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -10,8 +9,7 @@ from typing import Any
 import numpy
 import pytest
 
-from fmus import block as block_package
-from fmus.block import Block, NoValues, guide, variable, variables
+from fmus.block import Block, NoValues, variable
 from fmus.block.scalars import flatten, unflatten
 
 
@@ -208,10 +206,3 @@ def test_a_start_value_of_an_unknown_parameter_is_refused_with_the_nearest() -> 
         TypeError, match="block 'Other': no parameter 'internal_stop'; nearest is 'internal_step'"
     ):
         BLOCK.with_starts(__name__, "Other", "", {"internal_stop": (0.5, "")})
-
-
-@pytest.mark.parametrize("module", [block_package, guide, variables])
-def test_the_examples_of_the_docstrings_run(module: ModuleType) -> None:
-    failed, attempted = doctest.testmod(module, extraglobs={"dataclass": dataclass})
-    assert attempted
-    assert not failed

@@ -1,10 +1,8 @@
 """Every function means the same on floats and on symbols, and what its name means in `math` or NumPy."""
 
-import doctest
 import math
 import sys
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import casadi
@@ -14,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmus import numerics as n
-from fmus.numerics import arrays, choice, stepping
 from fmus.numerics.hints import COUNTERPARTS, INSTEAD, hint
 
 FINITE = st.floats(-1e3, 1e3)
@@ -243,10 +240,3 @@ def test_runge_kutta_converges_with_fourth_order() -> None:
 
     order = math.log2(error(20) / error(40))
     assert order == pytest.approx(4.0, abs=0.1)  # the next term of the error is 1 / 20 smaller
-
-
-@pytest.mark.parametrize("module", [arrays, choice, stepping])
-def test_the_examples_of_the_docstrings_run(module: ModuleType) -> None:
-    failed, attempted = doctest.testmod(module)
-    assert attempted
-    assert not failed

@@ -20,6 +20,14 @@ def test_the_shipped_schemas_are_the_generated_ones() -> None:
         )
 
 
+def test_an_argument_has_the_meaning_in_its_docstring_and_no_text_has_titles_of_sections() -> None:
+    text = schemas()["scenario.schema.json"]
+    spectrum = json.loads(text)["$defs"]["spectrum_table"]
+    assert spectrum["properties"]["peak_period"]["description"] == "Period of the peak of the spectrum [s]."
+    assert spectrum["description"].endswith("every seed gives the same variance.")
+    assert "----" not in text
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_every_shipped_file_names_its_schema(path: Path) -> None:
     first = path.read_text(encoding="utf-8").splitlines()[0]
