@@ -1,10 +1,7 @@
 """Commands score and compare: controllers in every case of the protocol, beside the built-in ones or all."""
 
-import math
 import sys
-from bisect import bisect_right
-from collections.abc import Iterable, Sequence
-from itertools import accumulate
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,12 +19,8 @@ if TYPE_CHECKING:
     from orchestration.studies.score.closed_loop import Controller
     from orchestration.studies.score.protocol import Protocol
     from orchestration.studies.score.score import ScoreResult
-    from orchestration.studies.score.score_document import Score
-    from orchestration.studies.score.score_tables import ScoreTable
 
 PANEL = "Controllers compared"
-MOST_LINES = 40  # of a score on a terminal
-_FILE_LINES = 4  # the heading of the files, their two names, and that a controller failed every case
 FullOption = Annotated[
     bool,
     typer.Option(
@@ -87,6 +80,7 @@ def score(
     For example, l1-depth score PidDepthController writes results/score.json and results/score.html.
     """
     from orchestration.studies.score import score as scoring
+    from orchestration.studies.score.score_rendering import terminal_text
 
     protocol = chosen_protocol(changes, protocol_file)
     chosen = scored_controllers(controllers, no_rates, changes)
@@ -102,7 +96,7 @@ def score(
             workers=workers,
             progress=bar.advance,
         )
-    print_score(result.document)
+    print(terminal_text(result.document, shared.console()), flush=True)
     scored = result.document.scored
     write_score(result, result, out / "score.json", f"Score of {', '.join(row.title for row in scored)}")
     if all(case.failed for row in scored for case in row.cases.values()):
@@ -126,91 +120,31 @@ def compare(
     For example, l1-depth compare --full --seed 1 compares over drawn plants, too.
     """
     from orchestration.studies.score import score as scoring
+    from orchestration.studies.score.score_rendering import terminal_text
 
     protocol = chosen_protocol(changes, protocol_file)
     scored_controllers([], False, changes)
     shared.check_writable(out)
     with shared.progress("compare", scoring.run_count(len(protocol.controllers), protocol, full)) as bar:
         result = scoring.compare(protocol, full=full, seed=seed, workers=workers, progress=bar.advance)
-    shown = scoring.shown_tables(result.document)
-    print_tables(shown, scoring.with_papers_differences(result.document))
-    on_page = scoring.for_page(result)
-    write_score(result, on_page, out / "comparison.json", "Comparison of the controllers")
+    tuned = scoring.part(result.document, scoring.TUNED)
+    print(terminal_text(tuned, shared.console()), flush=True)
+    write_score(result, scoring.for_page(result), out / "comparison.json", "Comparison of the controllers")
 
 
 def write_score(result: "ScoreResult", on_page: "ScoreResult", file: Path, title: str) -> None:
     """Writes a score and its page, or prints which extra the page needs; an earlier page is removed."""
+    from orchestration.studies.score.score_rendering import html_page
+
     page = file.with_suffix(".html")
     page.unlink(missing_ok=True)
     write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
     print(file)
     try:
-        from orchestration.studies.score.score_page import score_page
-
-        write_text_atomically(page, score_page(on_page, title))
+        write_text_atomically(page, html_page(on_page, title))
         print(page)
     except MissingExtraError as error:
         print(f"l1-depth: no page: {error}", file=sys.stderr)
-
-
-def print_tables(tables: "Iterable[ScoreTable]", document: "Score") -> None:
-    """Prints the protocol, tables of a score, and the differences between its controllers, if it has any."""
-    from orchestration.studies.score.score_tables import MARKS, differences_table, in_parts
-
-    print(_protocol(document))
-    for table in (*in_parts(tables, shared.console().width), differences_table(document)):
-        if table:
-            shared.print_table(table)
-    print(MARKS)
-    for title, reason in document.protocol.left_out.items():
-        print(f"left out: {title}: {reason}")
-
-
-def print_score(document: "Score") -> None:
-    """Prints the summary of a score, why controllers are not ranked and why runs failed.
-
-    These are at most `MOST_LINES` lines with the names of the files, which `write_score` prints below.
-    """
-    from orchestration.studies.score.score_tables import MARKS, summary
-
-    console = shared.console()
-    with console.capture() as captured:
-        console.print(summary(document, console.width))
-    lines = [_protocol(document), *captured.get().splitlines(), MARKS]
-    room = MOST_LINES - _FILE_LINES - sum(_heights(lines, console.width))
-    lines += _shortened(_reasons(document), room, console.width)
-    print("\n".join([*lines, "Every case and metric:"]), flush=True)
-
-
-def _protocol(document: "Score") -> str:
-    return f"Protocol {document.protocol.version}, seed {document.seed}. {document.protocol.statement}"
-
-
-def _heights(lines: Iterable[str], width: int) -> list[int]:
-    """Returns the number of lines that each takes on a terminal."""
-    return [max(1, math.ceil(len(line) / width)) for line in lines]
-
-
-def _shortened(reasons: list[str], room: int, width: int) -> list[str]:
-    """Returns the reasons that fit, and the number of the others, two or more."""
-    ends = list(accumulate(_heights(reasons, width)))
-    if len(reasons) < 2 or ends[-1] <= room:
-        return reasons
-    count = min(bisect_right(ends, room - 1), len(reasons) - 2)
-    return [*reasons[:count], f"and {len(reasons) - count} more reasons"]
-
-
-def _reasons(document: "Score") -> list[str]:
-    """Returns why scored controllers are not ranked, why their runs failed, and why cases are left out."""
-    reasons: list[str] = []
-    for row in document.scored:
-        reasons += [f"{row.title} is not ranked: {reason}" for reason in row.unranked]
-        for name, case in row.cases.items():
-            title = document.protocol.cases[name].title
-            failed = [reason for reason in case.failed if f"{title}: {reason}" not in row.unranked]
-            if failed:
-                reasons.append(f"{row.title}, {title}: {', '.join(failed)}")
-    return reasons + [f"left out: {title}: {why}" for title, why in document.protocol.left_out.items()]
 
 
 def chosen_protocol(changes: Changes, file: Path | None = None) -> "Protocol":

@@ -25,7 +25,6 @@ from orchestration.studies.score.protocol_format import COMPARED
 from orchestration.studies.score.run_metrics import Trace
 from orchestration.studies.score.score_document import PairedDifference, Row, Score, protocol_info
 from orchestration.studies.score.score_rows import LimitedRuns, Progress, RowTraces, Scoring, repeated
-from orchestration.studies.score.score_tables import ScoreTable, chosen
 from orchestration.studies.vehicle import built
 from orchestration.system.prepared_run import prepare
 
@@ -223,22 +222,6 @@ def for_page(result: ScoreResult) -> ScoreResult:
 
 
 def part(document: Score, which: str) -> Score:
-    """Returns the rows of one kind; each table of them marks the best of its columns."""
+    """Returns the rows of one kind; a table of them marks the best of its columns."""
     rows = [row for row in document.rows if row.name.startswith(f"{which}/")]
     return document.model_copy(update={"rows": rows})
-
-
-def shown_tables(document: Score) -> list[ScoreTable]:
-    """Returns the tables of the rows of each kind, which their titles name."""
-    many = ("metric-rmse", "draws", "plants")
-    return [
-        replace(table, title=f"{table.title}: {which} {key.removeprefix('metric-')}")
-        for which, keys in ((TUNED, ["overview"]), (START, ["overview"]), (TUNED, many))
-        for key, table in chosen(part(document, which), keys).items()
-    ]
-
-
-def with_papers_differences(document: Score) -> Score:
-    """Returns the score with the differences in RMSE between the paper's controller and others alone."""
-    entries = [e for e in document.differences if e.scored == PAPERS and e.metric == "rmse"]
-    return document.model_copy(update={"differences": entries})

@@ -1,33 +1,20 @@
-"""Tables of a score, and how a terminal shows them: one controller a row, the best of each column marked.
+"""Tables of a score: one controller a row, the best of each column marked.
 
 The best of a column is the best of the runs that did not fail, of controllers that are ranked.
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
 from orchestration.results.statistics import profile, ratios_to_best
 from orchestration.studies.score.protocol_format import COMPARED
 from orchestration.studies.score.score_document import OF_A_ROW, CaseResult, MetricInfo, Row, Score
 
-BEST, FAILED = "*", "!"
-MARKS = (
-    f"{BEST} the best of a column, {FAILED} a run that failed, - nothing to measure, such as the delay "
-    "margin of a loop that is not quiet as it is"
-)
-_COLUMN_WIDTH = 13  # with its padding and its edge
-_PADDING = 3
-_MOST_ROWS = 20  # in a summary, the scored controllers first
-_TEXTS = 3  # first columns of the differences
 _OVERVIEW = ("rmse", "total_variation")
-# factors of the least RMSE: almost as good, and still acceptable
-_FACTORS = (1.1, 2.0)
+# factors of the least RMSE: still acceptable, and almost as good
+_FACTORS = (2.0, 1.1)
 _STEP = MetricInfo(
     title="Run step",
     unit="ms",
@@ -75,7 +62,7 @@ class ScoreTable:
 def all_tables(score: Score) -> dict[str, dict[str, ScoreTable]]:
     """Returns every table by its key, in groups by their headings; tables of --full only for such a score."""
     groups = {
-        "Means over the cases": {"overview": overview(score)},
+        "All cases": {"overview": overview(score)},
         "A case": {f"case-{case}": of_case(score, case) for case in score.protocol.cases},
         "A metric": {
             f"metric-{name}": of_metric(score, name)
@@ -91,30 +78,32 @@ def all_tables(score: Score) -> dict[str, dict[str, ScoreTable]]:
     return groups
 
 
-def chosen(score: Score, keys: Collection[str]) -> dict[str, ScoreTable]:
-    """Returns the tables of these keys that the score has, in the order of all of them."""
-    tables = (item for members in all_tables(score).values() for item in members.items())
-    return {key: table for key, table in tables if key in keys}
-
-
 def overview(score: Score) -> ScoreTable:
-    """Returns a summary of the cases: those that built-in controllers are tuned on have columns of their own.
+    """Returns a summary, the most important numbers first: a terminal shows as many as fit its width.
 
-    Cases that repeat the nominal one count in the failures of the others alone.
+    Cases that built-in controllers are tuned on have columns of their own; cases that repeat the nominal
+    one count in the failures alone.
     """
     cases = score.protocol.cases
     tuned = [name for name, case in cases.items() if case.tuned_on]
     others = [name for name in cases if name not in tuned]
     distinct = [name for name in others if not cases[name].repeats_nominal]
-    columns: list[Column] = []
-    if tuned:
-        columns += [_mean(score, name, tuned, "tuned on") for name in _OVERVIEW]
-        columns.append(_failed(score, tuned, "tuned on"))
+    margin, step = _of_the_row(score)
+    plants = over_plants(score)
+    columns = [
+        _of_case(score, "rmse", score.nominal, title="RMSE, nominal"),
+        _failed(score, list(cases), "cases"),
+        margin,
+        *([plants.columns[0].model_copy(update={"title": "Failed plants"})] if plants else []),
+        *(_profiles(score, distinct) if distinct else []),
+        _of_case(score, "total_variation", score.nominal, title="Total variation, nominal"),
+        *(_mean(score, name, tuned, "tuned on") for name in _OVERVIEW if tuned),
+    ]
     if distinct:
-        columns += [*_profiles(score, distinct), _mean(score, "total_variation", distinct, "others")]
+        columns.append(_mean(score, "total_variation", distinct, "others"))
     if others:
         columns.append(_failed(score, others, "others"))
-    columns += _of_the_row(score)
+    columns.append(step)
     # earlier versions of score.json have no step
     if any(math.isfinite(row.step) for row in score.rows):
         steps = [Cell(1e3 * row.step) for row in score.rows]
@@ -259,79 +248,3 @@ def _column(
         replace(c, is_best=is_ranked and c.value == best) for c, is_ranked in zip(cells, ranked, strict=True)
     ]
     return Column(**{**info.model_dump(), **changes}, cells=marked)
-
-
-def summary(score: Score, width: int) -> Table:
-    """Returns the most important numbers of a score, as many columns as a terminal of this width shows."""
-    cases = score.protocol.cases
-    distinct = [name for name, case in cases.items() if not (case.tuned_on or case.repeats_nominal)]
-    plants = over_plants(score)
-    margin, *_ = _of_the_row(score)
-    columns = [
-        _of_case(score, "rmse", score.nominal, title="RMSE, nominal"),
-        _failed(score, list(cases), "cases"),
-        margin,
-        *([plants.columns[0].model_copy(update={"title": "Failed plants"})] if plants else []),
-        *(list(_profiles(score, distinct))[1:] if distinct else []),
-        _of_case(score, "total_variation", score.nominal, title="Total variation, nominal"),
-        *overview(score).columns,
-    ]
-    left = len(score.rows) - _MOST_ROWS
-    count = _MOST_ROWS if left > 1 else len(score.rows)
-    shown = [column.model_copy(update={"cells": column.cells[:count]}) for column in columns]
-    table = next(_parts(ScoreTable("Summary of the cases", score.rows[:count], shown), width))
-    table.caption = f"and {left} more controllers" if left > 1 else None
-    return table
-
-
-def in_parts(tables: Iterable[ScoreTable], width: int) -> list[Table]:
-    """Returns the tables for a terminal; one that does not fit its width is in parts."""
-    return [part for table in tables for part in _parts(table, width)]
-
-
-def _parts(shown: ScoreTable, width: int) -> Iterator[Table]:
-    """Yields the table in as many parts as its columns need."""
-    names = max(len(row.title) for row in shown.rows)
-    inputs = max(len(text) for text in ("Inputs", *(row.symbols for row in shown.rows)))
-    count = max(1, (width - 1 - 2 * _PADDING - names - inputs) // _COLUMN_WIDTH)
-    for begin in range(0, len(shown.columns), count):
-        part = slice(begin, begin + count)
-        table = Table(title=Text(f"{shown.title}, continued" if begin else shown.title), box=SIMPLE_HEAD)
-        table.add_column("", no_wrap=True)
-        table.add_column("Inputs")
-        for column in shown.columns[part]:
-            table.add_column(Text(column.heading), justify="right", width=_COLUMN_WIDTH - _PADDING)
-        for row, cells in zip(shown.rows, shown.cells, strict=True):
-            label = Text(row.title, "bold" if row.scored else "")
-            table.add_row(label, row.symbols, *map(_shown, cells[part]))
-        yield table
-
-
-def _shown(cell: Cell) -> Text:
-    marks = BEST * cell.is_best + FAILED * bool(cell.failed)
-    return Text(f"{cell.text}{marks}", "bold green" if cell.is_best else "red" if cell.failed else "")
-
-
-def differences_table(score: Score) -> Table | None:
-    """Returns the scored controllers against the others, plant by plant; None without plants."""
-    if not score.differences:
-        return None
-    table = Table(title="Plant by plant: one controller minus another one")
-    titles = {row.name: row.title for row in score.rows}
-    for entry in score.differences:
-        metric = score.protocol.metrics[entry.metric]
-        cells = {
-            "Scored": titles[entry.scored],
-            "Other": titles[entry.other],
-            "Metric": metric.title,
-            "Pairs": str(entry.pairs),
-            "Median difference": f"{entry.median_difference:.3g} {metric.unit}",
-            "Interval": "{:.3g} to {:.3g}".format(*entry.interval),
-            "p, Holm": f"{entry.p_holm:.2g}",
-            "Verdict": entry.verdict,
-        }
-        if not table.columns:
-            for i, heading in enumerate(cells):
-                table.add_column(heading, justify="left" if i < _TEXTS else "right")
-        table.add_row(*cells.values())
-    return table

@@ -12,10 +12,10 @@ import pytest
 from selenium import webdriver
 
 from fmus.errors import MissingExtraError
-from orchestration.studies.score import score_page as pages
+from orchestration.studies.score import score_rendering
 from orchestration.studies.score.command import write_score
 from orchestration.studies.score.score import ScoreResult
-from orchestration.studies.score.score_page import preselected, score_page
+from orchestration.studies.score.score_rendering import html_page, preselected
 from tests.orchestration.results.opened import OpenedPage
 
 from .made_up_score import made_up_score
@@ -23,7 +23,7 @@ from .made_up_score import made_up_score
 
 @pytest.fixture(scope="module")
 def html() -> str:
-    return score_page(made_up_score(), "Score of <mine>")
+    return html_page(made_up_score(), "Score of <mine>")
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_a_case_that_the_vehicle_cannot_play_is_named(html: str) -> None:
     assert "Left out" not in html
     made_up = made_up_score()
     made_up.document.protocol.left_out = {"Current <0.05 m/s>": "boat lacks plant.current_velocity"}
-    page = score_page(made_up, "Score")
+    page = html_page(made_up, "Score")
     assert "<dt>Current &lt;0.05 m/s&gt;</dt><dd>boat lacks plant.current_velocity</dd>" in page
 
 
@@ -65,7 +65,7 @@ def test_a_page_that_cannot_be_made_stands_beside_no_score_of_another_run(
     write_score(made, made, file, "Before")
     assert capsys.readouterr().out.splitlines() == [str(file), str(file.with_suffix(".html"))]
     other = made.document.model_copy(update={"seed": 7})
-    monkeypatch.setattr(pages, "score_page", fail)
+    monkeypatch.setattr(score_rendering, "html_page", fail)
     with suppress(RuntimeError):
         write_score(replace(made, document=other), made, file, "After")
     no_page = "l1-depth: no page: a page needs jinja2\n" if isinstance(error, MissingExtraError) else ""
@@ -128,7 +128,7 @@ def test_no_two_of_forty_lines_look_alike(browser: "webdriver.Chrome", tmp_path:
     """And those that are drawn at first differ in colour and in dash, as do their buttons."""
     file = tmp_path / "score.html"
     many = with_others(*((f"other {i}", 2.0 + i, 1000.0 - i, 0.1 + i) for i in range(36)))
-    file.write_text(score_page(many, "Score"), encoding="utf-8")
+    file.write_text(html_page(many, "Score"), encoding="utf-8")
     page = OpenedPage(browser, file)
     at_first = page.run(
         "return document.getElementById('error').chart.series.slice(1)"

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from orchestration.studies.score import score_page
+from orchestration.studies.score import score_rendering
 from tests.orchestration.results.page_scripts import SHARED, evaluated
 
-SCRIPTS = SHARED / "points.js", Path(score_page.__file__).parent / "files" / "score.js"
+SCRIPTS = SHARED / "points.js", Path(score_rendering.__file__).parent / "files" / "score.js"
 
 
 def score_row(name: str, rmse: float, variation: float, depth: list[float]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import pytest
 from fmus.block.instance import BlockInstance
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.package_blocks import with_start_values
+from orchestration.cli.package_fmus import with_start_values
 
 STARTS = {"augmentation": 2, "proportional_gain": 5.5, "measured_depth": 0.25}
 
