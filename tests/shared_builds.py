@@ -1,7 +1,7 @@
 """FMUs built once a session for all of pytest-xdist's processes, each when a test first asks for it."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,12 @@ They have states and derivatives, every type, tables, no state, or no input.
 def one_of_a_kind(names: Iterable[str]) -> list[Any]:
     """Returns names as parameters of a test, in which blocks that are not among `KINDS` are marked slow."""
     like = {*block_names()} - {*KINDS}
-    return [pytest.param(name, marks=pytest.mark.slow) if name in like else name for name in names]
+    return slow_but([name for name in names if name not in like], names)
+
+
+def slow_but(default: Collection[Any], values: Iterable[Any]) -> list[Any]:
+    """Returns values as parameters of a test, in which all but the default ones are marked slow."""
+    return [value if value in default else pytest.param(value, marks=pytest.mark.slow) for value in values]
 
 
 def session_folder(factory: pytest.TempPathFactory, name: str) -> Path:

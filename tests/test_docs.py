@@ -42,7 +42,7 @@ FOR_DEVELOPERS = {"docs", "test"}
 
 FOR_USERS = [page for page in PAGES if {"tutorials", "how-to"} & set(page.parts)]
 
-QUICK = {"fmpy.md", "README.md"}  # the others run the command line a dozen times each
+QUICK = {"README.md"}  # the others build FMUs, or run the command line a dozen times each
 
 
 def _name(page: Path) -> str:

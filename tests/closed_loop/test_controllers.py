@@ -56,11 +56,11 @@ def test_every_scenario_takes_it_without_a_warning(
 
 @pytest.mark.filterwarnings("error::orchestration.errors.ScenarioWarning")
 @pytest.mark.parametrize("vehicle", ["RovHeavePitchPlant", "BlueRov2Plant"])
+@pytest.mark.parametrize("name", ["L1DepthController", *CONTROLLERS])
 def test_vehicles_that_pitch_take_every_controller_of_the_depth_unchanged(
-    scenario_fmus: None, built: Mapping[str, Path], vehicle: str
+    scenario_fmus: None, built: Mapping[str, Path], name: str, vehicle: str
 ) -> None:
-    for name in ("L1DepthController", *CONTROLLERS):
-        settings = {"controller": str(built[name]), "plant": str(built[vehicle])}
-        loaded = scenario.load(scenario.find("nominal-extended"), settings=settings)
-        run = simulate(loaded.system, replace(loaded.experiment, stop_time=1.0))
-        assert np.isfinite(run.values).all()
+    settings = {"controller": str(built[name]), "plant": str(built[vehicle])}
+    loaded = scenario.load(scenario.find("nominal-extended"), settings=settings)
+    run = simulate(loaded.system, replace(loaded.experiment, stop_time=1.0))
+    assert np.isfinite(run.values).all()

@@ -92,6 +92,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", list(MISTAKES))
 def test_either_wiring_mistake_lets_the_filter_cancel_what_is_added_behind_it(
     mistake: str, tmp_path: Path

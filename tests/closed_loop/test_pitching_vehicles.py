@@ -18,6 +18,7 @@ from orchestration.studies.score.protocol import read_protocol
 from orchestration.studies.score.run_metrics import failures
 from orchestration.studies.vehicle import Vehicle
 from plant_fmu.thruster import T200_FORCE, T200_VOLTAGE
+from tests.shared_builds import slow_but
 
 pytestmark = pytest.mark.usefixtures("scenario_fmus")
 # 10 % less than the aft one; of another gain, the controller would be told
@@ -35,7 +36,8 @@ def metrics_of(controller: str, settings: Mapping[str, float]) -> tuple[float, l
 
 
 @pytest.mark.parametrize(
-    "controller", ["pid", "l1-pi", "super-twisting", "l1", "sliding-mode", "adrc", "mrac"]
+    "controller",
+    slow_but(("pid", "l1-pi"), ["pid", "l1-pi", "super-twisting", "l1", "sliding-mode", "adrc", "mrac"]),
 )
 def test_the_page_shows_what_a_weak_fore_thruster_costs(controller: str) -> None:
     """The sensor at the bow rises where both thrusters push down: with little damping fast laws oscillate."""

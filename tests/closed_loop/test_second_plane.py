@@ -23,7 +23,7 @@ from tests.closed_loop.second_loop import continuous, run
 from tests.closed_loop.second_plane import ContinuousHeavePitch, HeavePitch
 from tests.closed_loop.second_program import LawStep, law_of
 from tests.closed_loop.shipped_case import shipped_case
-from tests.shared_builds import Fmus
+from tests.shared_builds import Fmus, slow_but
 
 Settings = Mapping[str, Any]
 NOISELESS: Settings = {**SMOOTH, "plant.pitch_noise": 0.0}
@@ -74,7 +74,7 @@ LOOPS: dict[str, tuple[str, Settings]] = {
 }  # fmt: skip
 
 # what they add to the vehicle or the law, others have too
-CONTAINED = "both axes", "depth alone", "sea", "BlueROV2", "BlueROV2, dead band"
+CONTAINED = "both axes", "both, limited", "depth alone", "sea", "BlueROV2", "BlueROV2, dead band"
 
 
 def loop_of(name: str, settings: Settings, stop: float, step: float = 0.02) -> Scenario:
@@ -100,9 +100,7 @@ def rmse(depth: np.ndarray, reference: np.ndarray | float) -> float:
     return math.sqrt(np.mean((depth - reference) ** 2))
 
 
-@pytest.mark.parametrize(
-    "loop", [pytest.param(loop, marks=pytest.mark.slow) if loop in CONTAINED else loop for loop in LOOPS]
-)
+@pytest.mark.parametrize("loop", slow_but(LOOPS.keys() - {*CONTAINED}, LOOPS))
 def test_a_second_program_moves_in_heave_and_pitch_alike(built: Fmus, loop: str) -> None:
     """RMSE of the depth, and root of the mean square of the pitch, to 0.5 %; PID has no law to be integrated.
 
@@ -110,7 +108,7 @@ def test_a_second_program_moves_in_heave_and_pitch_alike(built: Fmus, loop: str)
     """
     name, settings = LOOPS[loop]
     assert all(built[fmu].is_file() for fmu in (settings["plant"], settings["controller"], "WaveSource"))
-    loaded = loop_of(name, settings, stop=20.0)
+    loaded = loop_of(name, settings, stop=10.0)
     own, case = simulate(loaded.system, loaded.experiment), shipped_case(loaded)
     second = run(case, 0.02, law(settings)(case, 0.02), parts=8)
     pitch, reference = second["state"][:, 2], own["controller.depth_reference"]

@@ -47,7 +47,7 @@ def assert_same_bits(system: System, experiment: Experiment) -> None:
     assert np.ptp(compiled.values, axis=0).any()
 
 
-@pytest.mark.parametrize("steps", [500, pytest.param(None, marks=pytest.mark.slow, id="all")])
+@pytest.mark.parametrize("steps", [100, pytest.param(None, marks=pytest.mark.slow, id="all")])
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_scenarios_have_the_bits_of_the_compiled_loop(
     scenario_fmus: None, name: str, steps: int | None

@@ -32,8 +32,11 @@ from tests.shared_builds import Build
 
 CAUSE = "and the child returned from the call; expected a child that calls _exit or exec"
 STEP = "fmi2DoStep"
+QUICK = STEP, "fmi2Instantiate"
 FORKS = [
-    pytest.param(call, waits, marks=[pytest.mark.slow] if waits == "parent" and call != STEP else [])
+    pytest.param(
+        call, waits, marks=[] if call in QUICK and (waits == "child" or call == STEP) else [pytest.mark.slow]
+    )
     for call in FORKING_CALLS
     for waits in ("child", "parent")
 ]
@@ -79,7 +82,11 @@ def processes_of(temporary: Path) -> list[psutil.Process]:
 
 
 @pytest.mark.parametrize(
-    ("call", "waits"), [("fmi2Instantiate", "child"), (STEP, "parent"), ("fmi2Reset", "child")]
+    ("call", "waits"),
+    [
+        ("fmi2Instantiate", "child"),
+        *(pytest.param(*row, marks=pytest.mark.slow) for row in ((STEP, "parent"), ("fmi2Reset", "child"))),
+    ],
 )
 def test_each_sample_has_its_own_metrics_or_the_cause(
     forker: Build, folder: Path, call: str, waits: str
@@ -194,14 +201,14 @@ def test_forks_of_a_thread_that_calls_no_fmu_are_left_alone(linear: Build) -> No
     """While an FMU is busy in another thread."""
     statuses, numbers = [], []
     with Simulator(System({"one": linear()})) as simulator:
-        for count in (0, 50):
+        for count in (0, 10):
             forks = threading.Thread(target=lambda n=count: statuses.extend(forked(bool) for _ in range(n)))
             forks.start()
             while forks.is_alive():
                 simulator.run(Experiment(10.0, 0.01, inputs={"one.u[1]": 1.0}))
             forks.join()
             numbers.append(psutil.Process().num_fds())  # what a first thread opens stays open
-    assert statuses == 50 * [1]
+    assert statuses == 10 * [1]
     assert numbers[0] == numbers[1]
 
 
@@ -210,7 +217,8 @@ def number_of(signals: Recording, number: int) -> int:
     return number
 
 
-@pytest.mark.parametrize("waits", ["child", pytest.param("parent", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("waits", ["child", "parent"])
 def test_each_case_of_a_score_has_the_cause(forker: Build, vehicle_fmus: None, waits: str) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker(STEP, waits)), mapping=names)

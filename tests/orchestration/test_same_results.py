@@ -26,6 +26,7 @@ import tomli_w
 from orchestration import Recording
 from orchestration.scenarios import scenario
 from orchestration.studies.score.protocol import read_protocol
+from tests.shared_builds import slow_but
 
 FILE = Path(__file__).with_name("same_results.json")
 C_LIBRARY = " ".join(platform.libc_ver())
@@ -150,7 +151,7 @@ def test_a_shipped_scenario_has_the_same_recording(
     is_same(name, {"time": recording.time, **{signal: recording[signal] for signal in recording.names}})
 
 
-@pytest.mark.parametrize("where", ["vectors", "processor", "processes"])
+@pytest.mark.parametrize("where", slow_but(("vectors", "processor"), ("vectors", "processor", "processes")))
 @pytest.mark.usefixtures("scenario_fmus")
 def test_a_shipped_sweep_has_the_same_rows_wherever_they_run(
     where: str, command: Command, is_same: Check, tmp_path: Path
@@ -191,7 +192,8 @@ def test_a_score_has_the_same_numbers(
     is_same(name, values_of(json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["rows"]))
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.usefixtures("scenario_fmus")
 def test_a_tuning_has_the_same_gains_and_costs(
     workers: int, command: Command, is_same: Check, tmp_path: Path

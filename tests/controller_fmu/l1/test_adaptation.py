@@ -118,7 +118,7 @@ def test_learning_from_another_control_than_acts_is_explicit_where_the_two_oppos
     assert order(p, 800) == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize("angle", [0.1, 1.0, 8.0, 33.0])
+@pytest.mark.parametrize("angle", [pytest.param(0.1, marks=pytest.mark.slow), 1.0, 8.0, 33.0])
 def test_frequency_and_damping_of_the_fast_loop_do_not_depend_on_the_step(angle: float) -> None:
     """x rests: x_tilde and eta are linear, and their oscillation follows from a matrix exponential.
 

@@ -98,7 +98,7 @@ def depth_at(t: float) -> dict[str, float]:
     ("given", "rounding"),
     [
         ({"augmentation": both.Augmentation.PI}, 0.0),
-        ({"augmentation": both.Augmentation.NONE}, 0.0),
+        pytest.param({"augmentation": both.Augmentation.NONE}, 0.0, marks=pytest.mark.slow),
         ({"augmentation": both.Augmentation.NONE, "voltage_limit": 0.4}, 1e-12),
     ],
     ids=["pi", "plain", "saturated"],

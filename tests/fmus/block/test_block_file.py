@@ -235,8 +235,13 @@ def test_a_file_that_cannot_be_a_module_is_refused(file: str, message: str, tmp_
     ("expression", "flavour"),
     [
         ("exit(0)", Flavour.NATIVE),
-        ("(exit(0) if type(u.u) is float else u.u)", Flavour.NATIVE),
-        ("(exit(0) if type(t) is float and h == 0.01 and 0.985 < t < 0.995 else u.u)", Flavour.NATIVE),
+        *(
+            pytest.param(expression, Flavour.NATIVE, marks=pytest.mark.slow)
+            for expression in (
+                "(exit(0) if type(u.u) is float else u.u)",
+                "(exit(0) if type(t) is float and h == 0.01 and 0.985 < t < 0.995 else u.u)",
+            )
+        ),
         ("(exit(0) if type(t) is float and h == 0.01 and 0.985 < t < 0.995 else u.u)", Flavour.PYTHON),
     ],
 )

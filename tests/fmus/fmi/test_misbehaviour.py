@@ -234,14 +234,17 @@ def test_a_last_successful_time_outside_the_step_ends_the_run(
 
 ENDS_APART = [
     (Misdeed.HANG, "rogue at t = 0.5 s: did not return within 1 s, and its process was ended"),
-    (Misdeed.ABORT, "rogue at t = 0.5 s: ended its process with SIGABRT"),
     (Misdeed.SEGFAULT, "rogue at t = 0.5 s: ended its process with SIGSEGV"),
-    *ENDS[:2],  # what is refused otherwise ends a run in the same way
+    ENDS[0],  # what is refused otherwise ends a run in the same way
+    *(
+        pytest.param(*row, marks=pytest.mark.slow)
+        for row in ((Misdeed.ABORT, "rogue at t = 0.5 s: ended its process with SIGABRT"), ENDS[1])
+    ),
 ]
 
 
 @FMI_2_ALONE
-@pytest.mark.parametrize(("misdeed", "message"), ENDS_APART, ids=[misdeed.name for misdeed, _ in ENDS_APART])
+@pytest.mark.parametrize(("misdeed", "message"), ENDS_APART)
 def test_a_process_of_its_own_ends_with_the_fmu_and_keeps_the_record(
     system: System, temporary: Path, misdeed: Misdeed, message: str
 ) -> None:

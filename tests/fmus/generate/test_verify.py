@@ -25,7 +25,7 @@ from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.generate.trace import trace
 from fmus.generate.verify import check_trace
-from tests.shared_builds import one_of_a_kind
+from tests.shared_builds import slow_but
 
 
 class Mode(IntEnum):
@@ -374,7 +374,7 @@ def observed_where(condition: Any, if_true: Any, if_false: Any) -> Any:
     return observed(condition, if_true, if_false)  # type: ignore[name-defined] # noqa: F821
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(builder.block_names()))
+@pytest.mark.parametrize("name", slow_but(("L1DepthController", "ExamplePlant"), builder.block_names()))
 def test_every_block_is_faithful_and_takes_its_branches_both_ways(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

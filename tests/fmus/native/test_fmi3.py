@@ -26,7 +26,7 @@ from fmus.generate import builder
 from fmus.generate.describe import arrays, variable_names
 from fmus.native import toolchain
 from fmus.registry import Flavour
-from tests.shared_builds import Fmus
+from tests.shared_builds import Fmus, slow_but
 
 from .blocks import EVERYTHING, Mode, block_named, in_fmi3
 from .exchanged import BALL, TANK, Exchanged
@@ -78,7 +78,11 @@ def test_its_scalars_have_the_value_references_of_fmi_2(built: Fmus, fmi3_built:
     assert {name.partition("[")[0] for name in scalars} <= {"time", "event.indicators"}
 
 
-@pytest.mark.parametrize("name", [*NAMES, EVERYTHING.name, BALL.name, TANK.name])
+# of no state, and with events; the blocks before have fewer
+@pytest.mark.parametrize(
+    "name",
+    [*slow_but(("WaveSource",), builder.block_names()), EVERYTHING.name, BALL.name, TANK.name],
+)
 def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, name: str) -> None:
     path = str(fmi3_built[name])
     assert validate_fmu(path) == []

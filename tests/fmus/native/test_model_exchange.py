@@ -23,7 +23,7 @@ from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.generate.verify import drawn
 from fmus.registry import BLOCKS, installed
-from tests.shared_builds import Fmus, one_of_a_kind
+from tests.shared_builds import Fmus, one_of_a_kind, slow_but
 
 from .exchanged import BALL, Exchanged, Outputs, Reading, State, euler, heun, rk4
 
@@ -46,7 +46,8 @@ def co_simulated(path: Path, stop_time: float, h: float, **values: float) -> Map
 # the description
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(builder.block_names()))
+# of all types, and without a state
+@pytest.mark.parametrize("name", slow_but(("L1DepthController", "ThrustAllocation"), builder.block_names()))
 def test_one_fmu_has_both_interfaces_and_fmpy_runs_both(built: Fmus, name: str) -> None:
     path, block = str(built[name]), builder.load_block(name)
     description: Any = fmpy.read_model_description(path)

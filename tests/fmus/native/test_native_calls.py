@@ -40,7 +40,7 @@ def run(block: Block, program: Path, examples: int, *, fmi: int = 2, shrink: boo
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_path: Path, fmi: int) -> None:
     program = compiled(c_sources_of(EVERYTHING, GUID, fmi=fmi), tmp_path, sanitized=False, fmi=fmi)
-    run(EVERYTHING, program, 30, fmi=fmi)
+    run(EVERYTHING, program, 12, fmi=fmi)
 
 
 @pytest.mark.cross

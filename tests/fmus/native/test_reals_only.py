@@ -13,6 +13,7 @@ from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.registry import Flavour
+from tests.mutants.mutant import broken_rules as static_broken_rules
 from tests.shared_builds import Fmus
 
 from .blocks import EVERYTHING, ITEMS
@@ -92,6 +93,11 @@ def test_an_input_of_whole_numbers_has_no_derivative(reals: Path, load: Any) -> 
     assert "level: expected a continuous input" in fmu.log[-1]
 
 
+def test_its_files_break_no_rule_of_fmi(reals: Path) -> None:
+    assert static_broken_rules(reals) == {}
+
+
+@pytest.mark.slow
 def test_it_breaks_no_rule_of_fmi(reals: Path) -> None:
     assert not {result.rule.name: result.messages for result in examine(reals) if result.messages}
 

@@ -15,7 +15,7 @@ from fmus.generate.trace import trace
 from fmus.generate.verify import Comparison, check_shipped, check_trace
 from fmus.platforms import host_platform, library_name
 from tests.described_fmus import members
-from tests.shared_builds import Fmus, one_of_a_kind, with_libraries
+from tests.shared_builds import Fmus, slow_but, with_libraries
 
 from .blocks import EVERYTHING
 
@@ -62,7 +62,9 @@ def test_a_library_that_differs_in_one_function_is_refused(
         check_shipped(check_trace(trace(EVERYTHING)), library)
 
 
-@pytest.mark.parametrize("name", ["Everything", *one_of_a_kind(builder.block_names())])
+@pytest.mark.parametrize(
+    "name", slow_but(("Everything", "ThrustAllocation"), ["Everything", *builder.block_names()])
+)
 def test_a_library_is_compared_at_most_points_of_each_function(
     built: Fmus, library_of: Callable[..., ShippedLibrary], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

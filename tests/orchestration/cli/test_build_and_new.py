@@ -12,6 +12,7 @@ import pytest
 from fmus import registry
 from fmus.generate import builder
 from orchestration.results.recording import Recording
+from tests.mutants.mutant import broken_rules as static_broken_rules
 
 Command = Callable[..., Any]
 
@@ -71,13 +72,19 @@ def test_build_writes_the_fmu_of_a_class_and_no_other(command: Command, refused:
     assert "no effect with own.py:Own, a Python class" in refused("build", "own.py:Own", "--all-platforms")
 
 
-def test_the_block_that_new_writes_runs_in_the_papers_loop_and_passes_every_rule(
+def test_the_block_that_new_writes_runs_in_the_papers_loop_and_its_files_break_no_rule(
     command: Command, short_scenario: Command
 ) -> None:
     command("new", "pid")
     command("run", short_scenario(stop=4.0), "--controller", "pid.py", "--formats", "none")
     recording = Recording.read(Path("results", "short-Pid.csv"))
     assert 0.0 < recording["plant.total_force"][-1] <= 6.0
+    assert static_broken_rules(builder.fmu_of_file(Path("pid.py"))) == {}
+
+
+@pytest.mark.slow
+def test_the_block_that_new_writes_passes_every_rule(command: Command) -> None:
+    command("new", "pid")
     fmu = builder.fmu_of_file(Path("pid.py"))
     assert re.search(r": \d+ passed, \d+ not applicable\n", command("check", fmu).stdout)
 
@@ -105,8 +112,14 @@ def test_broken_blocks_of_another_package_are_listed_and_stop_no_other(
     ("bad", "reason"),
     [
         ("bad.py", "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'"),
-        ("bad.py:Own", "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'"),
-        ("DepthReferenc", "no block named 'DepthReferenc'; nearest is 'DepthReference'"),
+        pytest.param(
+            "bad.py:Own", "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "DepthReferenc",
+            "no block named 'DepthReferenc'; nearest is 'DepthReference'",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_cannot_be_imported_stops_no_other(

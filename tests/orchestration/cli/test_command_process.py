@@ -39,7 +39,12 @@ def ended(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("argument", "unbuffered"), [("scenarios", ""), ("scenarios", "1"), ("--help", ""), ("--version", "1")]
+    ("argument", "unbuffered"),
+    [
+        ("scenarios", ""),
+        ("--version", "1"),
+        *(pytest.param(*row, marks=pytest.mark.slow) for row in (("scenarios", "1"), ("--help", ""))),
+    ],
 )
 def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, unbuffered: str) -> None:
     """Its status is that of other tools in a shell: 128 + SIGPIPE."""
@@ -60,7 +65,12 @@ def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, 
 
 
 @pytest.mark.parametrize(
-    ("closed", "fmu", "status"), [(">&-", "a.fmu", 0), ("2>&-", "none.fmu", 1), (">&- 2>&-", "a.fmu", 0)]
+    ("closed", "fmu", "status"),
+    [
+        ("2>&-", "none.fmu", 1),
+        (">&- 2>&-", "a.fmu", 0),
+        pytest.param(">&-", "a.fmu", 0, marks=pytest.mark.slow),
+    ],
 )
 def test_where_an_output_is_closed_nothing_is_printed(
     tmp_path: Path, closed: str, fmu: str, status: int
@@ -128,6 +138,7 @@ def test_a_cache_that_can_only_be_read_is_still_read(
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_an_fmu_that_changes_the_permissions_of_new_files_hides_no_results(
     misbehaving: Callable[..., str], tmp_path: Path
 ) -> None:

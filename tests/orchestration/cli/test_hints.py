@@ -109,6 +109,7 @@ def test_the_options_that_the_help_shows_are_taken_and_others_are_not(
     assert "--set controller: expected" in error(name, "PidDepthController", "--set", "controller=x.fmu")
 
 
+@pytest.mark.slow
 def test_the_mappings_that_messages_ask_for_give_a_vehicle_to_tune(
     error: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -127,9 +128,11 @@ def test_the_mappings_that_messages_ask_for_give_a_vehicle_to_tune(
     "expression",
     [
         "sum(s.x for _ in range(int(u.x)))",
-        "sum(s.x for _ in range(1, int(u.x)))",
-        "sum(s.x for _ in range(round(u.x)))",
         "(1.0, 2.0)[int(u.x)]",
+        *(
+            pytest.param(f"sum(s.x for _ in range({turns}))", marks=pytest.mark.slow)
+            for turns in ("1, int(u.x)", "round(u.x)")
+        ),
     ],
 )
 def test_what_is_advised_in_place_of_an_expression_is_not_refused(

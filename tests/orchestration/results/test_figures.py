@@ -13,6 +13,7 @@ from orchestration.results import figures
 from orchestration.results.formats import FigureFormat
 from orchestration.results.panels import panels_of
 from orchestration.results.recording import Recording
+from tests.shared_builds import slow_but
 
 TIME = np.linspace(0.0, 100.0, 50_001)
 
@@ -142,7 +143,7 @@ def test_the_picture_shows_the_right_frame_of_a_panel_whose_legend_is_inside(tmp
     assert not is_ink[:, columns[-1] + 1 :].any()
 
 
-@pytest.mark.parametrize("ending", FigureFormat)
+@pytest.mark.parametrize("ending", slow_but((FigureFormat.PNG, FigureFormat.SVG), FigureFormat))
 def test_equal_data_give_the_same_file(recording: Recording, tmp_path: Path, ending: FigureFormat) -> None:
     files = [
         figures.run_figure("A run", recording, tmp_path / name, [ending])[0] for name in ("first", "second")

@@ -9,7 +9,7 @@ from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
-from tests.shared_builds import Build
+from tests.shared_builds import Build, slow_but
 
 OUTPUTS = ("motor.current", "motor.speed", "drive.y[1]")
 LOOP = (("motor.speed", "drive.u[1]"), ("drive.y[1]", "motor.voltage"))
@@ -71,7 +71,7 @@ def test_steps_get_no_shorter_for_the_error_of_the_solver(
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("tolerance", STEPS)
+@pytest.mark.parametrize("tolerance", slow_but((1e-3,), STEPS))
 def test_an_exact_solver_meets_the_tolerance_in_as_many_steps_as_the_exchange_needs(
     motor: Build, linear: Build, tolerance: float
 ) -> None:

@@ -29,7 +29,7 @@ from tests.orchestration.linear_systems import RESUMABLE, alone, coupled
 from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits
-from tests.shared_builds import Build
+from tests.shared_builds import Build, slow_but
 
 TIMEOUT = 2.0
 pytestmark = pytest.mark.usefixtures("importable")
@@ -124,7 +124,7 @@ def test_an_interrupt_after_the_last_point_is_one(linear: Build) -> None:
     assert len(caught.value.recording.time) == 11
 
 
-@pytest.mark.parametrize("interrupts", [1, 2])
+@pytest.mark.parametrize("interrupts", slow_but((2,), (1, 2)))
 def test_an_interrupt_at_the_terminal_does_not_cut_off_a_checkpoint(
     linear: Build, tmp_path: Path, interrupts: int
 ) -> None:
@@ -178,7 +178,9 @@ def test_a_second_interrupt_ends_what_hangs(linear: Build, rogue: Build, tempora
     assert not list(temporary.iterdir())
 
 
-@pytest.mark.parametrize("error", [ValueError("no bar"), OrchestrationError("no bar")])
+@pytest.mark.parametrize(
+    "error", [ValueError("no bar"), pytest.param(OrchestrationError("no bar"), marks=pytest.mark.slow)]
+)
 def test_a_progress_that_fails_is_the_same_failure(linear: Build, error: Exception) -> None:
     messages = []
     for seconds in (None, TIMEOUT):
@@ -229,12 +231,14 @@ def test_an_interrupt_of_the_preparation_ends_the_run(linear: Build) -> None:
     assert len(caught.value.recording.time) < 1000
 
 
+@pytest.mark.slow
 def test_what_comes_after_the_last_point_does_not_count(linear: Build) -> None:
     experiment = Experiment(4e6, 1.0, inputs={"one.u[1]": 0.0})
     recording = simulate(alone(linear), experiment, timeout=0.1)  # no less: a busy machine
     assert len(recording.time) == 4_000_001
 
 
+@pytest.mark.slow
 def test_shorter_steps_between_two_points_each_count_alone(rogue: Build) -> None:
     """All of them take longer than the limit."""
     shorter = replace(doing(Misdeed.DISCARD, 0.0, longest_step=2e-5, h=1.0), inputs={"rogue.u": 1.0})

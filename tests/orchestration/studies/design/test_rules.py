@@ -187,6 +187,7 @@ def unequal() -> VehicleData:
     return data_of(vehicle, draws_of(vehicle))
 
 
+@pytest.mark.slow
 def test_a_pitching_vehicle_with_unequal_thrusters_has_no_design(
     unequal: VehicleData, conditions: Conditions
 ) -> None:

@@ -78,7 +78,10 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
 
 @pytest.mark.parametrize(
     ("vehicle", "columns"),
-    [("rover.py", ("control_force",)), ("RovDepthPlant", ("voltage[1]", "voltage[2]"))],
+    [
+        pytest.param("rover.py", ("control_force",), marks=pytest.mark.slow),
+        ("RovDepthPlant", ("voltage[1]", "voltage[2]")),
+    ],
 )
 def test_the_how_to_compares_with_the_sensor_of_a_vehicle_that_has_noise_and_of_one_that_has_none(
     command: Command, log: Path, vehicle: str, columns: tuple[str, ...]

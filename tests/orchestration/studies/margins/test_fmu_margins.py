@@ -1,14 +1,17 @@
 """Margins measured through FMUs: against the closed form of a sampled loop, and on the vehicle."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from orchestration.errors import ScenarioError
+from orchestration.many.local_runs import LocalRuns
+from orchestration.many.run_many import Make, in_order
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.studies.margins.fmu_margins import DELAYS, GAINS, Scan, run_metrics, scan
@@ -37,9 +40,25 @@ def integrator(linear: Callable[..., Path]) -> Scenario:
     return Scenario("integrator", "", system, Experiment(400.0, STEP), {})
 
 
-def scanned(chosen: Scenario, *arguments: Any, hold: Hold | None = HOLD, **options: Any) -> Scan:
-    with HoldRuns(chosen, hold) as runs:
-        return scan(runs, *arguments, **options)
+@pytest.fixture(scope="module")
+def make() -> Iterator[Make]:
+    """Makes the runs of all tests in one process."""
+    with LocalRuns(1) as place:
+        yield partial(in_order, place)
+
+
+Scanned = Callable[..., Scan]
+
+
+@pytest.fixture
+def scanned(make: Make) -> Scanned:
+    """Scans a scenario."""
+
+    def scan_it(chosen: Scenario, *arguments: Any, hold: Hold | None = HOLD, **options: Any) -> Scan:
+        with HoldRuns(chosen, hold, make) as runs:
+            return scan(runs, *arguments, **options)
+
+    return scan_it
 
 
 def sampled_gain_limit(steps: int) -> float:
@@ -48,7 +67,7 @@ def sampled_gain_limit(steps: int) -> float:
 
 
 def test_the_gain_margin_of_a_sampled_integrator_is_that_of_its_difference_equation(
-    integrator: Scenario,
+    integrator: Scenario, scanned: Scanned
 ) -> None:
     """With Jacobi the control is a step old: x[n+1] = x[n] - g h x[n-1], lost at g h = 1."""
     grid = replace(GAINS, largest=30.0, step=1.5, resolution=1.001)
@@ -60,7 +79,7 @@ def test_the_gain_margin_of_a_sampled_integrator_is_that_of_its_difference_equat
 
 @pytest.mark.parametrize("loop_signal", list(LoopSignal))
 def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equation(
-    integrator: Scenario, loop_signal: LoopSignal
+    integrator: Scenario, scanned: Scanned, loop_signal: LoopSignal
 ) -> None:
     """Lost between m and m + 1 steps, where K = h lies between the limits of both, linear in between."""
     steps = next(m for m in range(1, 100) if sampled_gain_limit(m + 1) < GAIN * STEP)
@@ -74,7 +93,7 @@ def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equa
     assert measured.quiet_again == ()
 
 
-def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
+def test_a_scan_can_end_at_the_first_loss(integrator: Scenario, scanned: Scanned) -> None:
     grid = replace(WIDE, resolution=0.05)
     first, complete = (
         scanned(integrator, LoopSignal.MEASUREMENT, grid, only_first_loss=is_first)
@@ -84,24 +103,26 @@ def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
     assert first.runs < complete.runs == 16 + 2
 
 
-def test_a_scenario_that_is_not_quiet_has_no_margin(integrator: Scenario) -> None:
+def test_a_scenario_that_is_not_quiet_has_no_margin(
+    integrator: Scenario, scanned: Scanned, make: Make
+) -> None:
     unstable = replace(integrator, experiment=replace(integrator.experiment, parameters={"plant.a": 1.1}))
     grid = replace(DELAYS, largest=1.0, step=0.5)
     measured = scanned(unstable, LoopSignal.MEASUREMENT, grid)
     assert math.isnan(measured.margin)
     assert measured.lost == 0.0
-    with HoldRuns(unstable, HOLD) as runs:
+    with HoldRuns(unstable, HOLD, make) as runs:
         first = next(run_metrics(runs, lambda: None))
         expected = f"standard deviation {runs.deviation:.3g}, limit {HOLD.quiet:g}"
     assert first.shown == "none"
     assert first.remark.startswith(f"not quiet without a change; the scenario as it is: {expected}")
 
 
-@pytest.mark.parametrize(("bias", "is_quiet"), [(0.03, True), (-0.03, True), (0.05, False), (-0.05, False)])
-def test_a_hold_somewhere_else_is_not_quiet(integrator: Scenario, bias: float, is_quiet: bool) -> None:
+def test_a_hold_somewhere_else_is_not_quiet(integrator: Scenario, make: Make) -> None:
     """A biased measurement moves the mean by as much, without any unrest."""
-    with HoldRuns(integrator, HOLD) as runs:
-        assert runs.is_quiet(("controller.u[1]",), Offset(bias)) is is_quiet
+    with HoldRuns(integrator, HOLD, make) as runs:
+        for bias, is_quiet in ((0.03, True), (-0.03, True), (0.05, False), (-0.05, False)):
+            assert runs.is_quiet(("controller.u[1]",), Offset(bias)) is is_quiet, bias
 
 
 @pytest.mark.parametrize(("quiet", "lost"), [(2.0, 2.4), (0.5, 0.4), (1.0, 1.2), (1.0, 1.0 / 1.2)])
@@ -112,7 +133,7 @@ def test_a_first_loss_is_enclosed_on_either_side_of_1(quiet: float, lost: float)
     assert GAINS.middle(quiet, lost) == pytest.approx(math.sqrt(quiet * lost))
 
 
-def test_nothing_lost_is_infinite(integrator: Scenario) -> None:
+def test_nothing_lost_is_infinite(integrator: Scenario, scanned: Scanned) -> None:
     grid = replace(DELAYS, largest=0.4, step=0.2)
     measured = scanned(integrator, LoopSignal.MEASUREMENT, grid)
     assert (measured.margin, measured.lost) == (0.4, math.inf)
@@ -123,7 +144,7 @@ def test_a_scenario_without_a_reference_needs_a_hold(integrator: Scenario) -> No
         hold_of(integrator)
 
 
-def test_a_component_without_a_loop_is_refused(integrator: Scenario) -> None:
+def test_a_component_without_a_loop_is_refused(integrator: Scenario, scanned: Scanned) -> None:
     open_loop = replace(
         integrator,
         system=System(integrator.system.components, integrator.system.connections[:1]),
@@ -140,8 +161,8 @@ def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_refere
         hold_of(scenario.load(scenario.find("example-l1")))
 
 
-def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it() -> None:
-    with HoldRuns(scenario.load(scenario.find("nominal-extended"))) as runs:
+def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it(make: Make) -> None:
+    with HoldRuns(scenario.load(scenario.find("nominal-extended")), make=make) as runs:
         of_control, of_measurement = (
             loop_inputs(runs.prepared, "plant.depth", signal)
             for signal in (LoopSignal.CONTROL, LoopSignal.MEASUREMENT)
@@ -150,7 +171,7 @@ def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it() 
     assert of_measurement == ("controller.measured_depth", "controller.measured_depth_rate")
 
 
-def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling() -> None:
+def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scanned: Scanned) -> None:
     """With the true state: 0.4133 s in continuous time, less a step by Jacobi and half a one by the hold.
 
     The law's own step costs less than another half. docs/explanation/margins.md has the figures.
