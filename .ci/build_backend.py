@@ -27,7 +27,8 @@ _COMPILED = (Path("orchestration/run/loop.c"), Path("fmus/fmi/fmi3_calls.c"))
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
     """The compiler and the headers of FMI too, in the versions that the project requires."""
     with (_ROOT / "pyproject.toml").open("rb") as stream:
-        required = tomllib.load(stream)["project"]["dependencies"]
+        project = tomllib.load(stream)["project"]
+    required = [*project["dependencies"], *project["optional-dependencies"]["build"]]
     of_compiling = [name for name in required if name.startswith(("ziglang", "fmpy"))]
     return [*build_meta.get_requires_for_build_wheel(config_settings), *of_compiling]
 

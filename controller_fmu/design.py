@@ -19,10 +19,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm, solve_continuous_lyapunov
-from scipy.optimize import brentq
 
 from controller_fmu.l1.parameters import FilterOrder, Regressor
+from fmus.extras import imports_of
+
+with imports_of("study", "a design"):
+    from scipy.linalg import expm, solve_continuous_lyapunov
+    from scipy.optimize import brentq
 
 # of the fastest mode: a change of sign is found to 1e-3 of a time constant
 _STEPS_PER_TIME_CONSTANT = 20

@@ -178,7 +178,7 @@ def test_every_package_is_installed() -> None:
 def test_models_import_only_the_standard_library_and_the_declaration(package: str) -> None:
     allowed = {package, "fmus.block", "fmus.block.guide", "fmus.numerics", *sys.stdlib_module_names}
     for path in (ROOT / package).rglob("*.py"):
-        extra = {"numpy", "scipy"} if path.name == "design.py" else set()
+        extra = {"fmus.extras", "numpy", "scipy"} if path.name == "design.py" else set()
         for name in imports(path):
             assert any(is_in(name, known) for known in allowed | extra), f"{path.name} imports {name}"
 
@@ -263,6 +263,18 @@ def test_the_master_loads_nothing_that_running_does_not_need() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_a_check_loads_nothing_that_builds_or_draws() -> None:
+    """In its two processes: the one of the check, and the one of the FMU."""
+    code = """
+import sys
+from fmus.compliance import check, examine, fmu_process, report, rule
+rule.all_rules()
+print({'casadi', 'ziglang', 'scipy', 'matplotlib', 'fmus.generate'} & {*sys.modules})
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
 # Libraries
 
 # What is imported by other names than those of its distribution, or comes with one
@@ -275,12 +287,20 @@ DISTRIBUTIONS = {
     "tomli_w": "tomli-w",
 }
 EXTRAS = {
-    "fmus.block": {"units"},
+    "controller_fmu": {"study"},
+    "fmus.block": {"build", "units"},
     "fmus.compliance": {"check"},
+    "fmus.generate": {"build"},
+    "fmus.generate.documentation": {"build"},
+    "fmus.native": {"build"},
+    "fmus.numerics": {"build"},
     "orchestration.gym": {"gym"},
     "orchestration.places": {"gpu", "sweep"},
     "orchestration.report": {"report"},
-    "orchestration.results": {"report", "tables"},
+    "orchestration.results": {"figures", "report", "study", "tables"},
+    "orchestration.studies.design": {"study"},
+    "orchestration.studies.fit": {"study"},
+    "orchestration.studies.margins": {"study"},
     "orchestration.studies.score": {"study"},
     "orchestration.sweep": {"sweep"},
 }
@@ -340,7 +360,7 @@ def test_what_is_declared_is_imported() -> None:
     declared = project()
     imported = {name: third_party(path) for name, path in MODULES.items()}
     assert declared[""] <= set().union(*imported.values()) | {"fmpy"}  # files alone, in platforms.py
-    for extra in ("check", "gpu", "gym", "report", "study", "sweep", "tables", "units"):
+    for extra in ("build", "check", "figures", "gpu", "gym", "report", "study", "sweep", "tables", "units"):
         rooms = [name for name, extras in EXTRAS.items() if extra in extras]
         users = [names for module, names in imported.items() if room(module) in rooms]
         assert declared[extra] <= set().union(*users), f"the extra {extra!r}"

@@ -22,8 +22,8 @@ from tests.shared_builds import Build, built_once, session_folder
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
-# what `pip install --no-deps l1-depth` needs beside it to run FMUs (docs/how-to/run-without-building.md)
-FOR_RUNNING = ("cloudpickle", "fmpy", "numpy", "scipy")
+# what `simulate` imports of others (docs/how-to/run-without-building.md)
+FOR_RUNNING = ("cloudpickle", "fmpy", "numpy")
 
 pytestmark = pytest.mark.packaging
 
@@ -209,7 +209,7 @@ start = time.process_time()
 recording = simulate(system, stop_time=1000.0, step_size=0.01)
 print(time.process_time() - start)
 assert len(recording.time) == 100001
-unneeded = {"casadi", "ziglang", "pint", "PIL", "matplotlib", "pandas", "rich", "typer"}
+unneeded = {"casadi", "ziglang", "scipy", "pint", "PIL", "matplotlib", "pandas", "rich", "typer"}
 unneeded |= {"fmus.generate"}
 assert not unneeded & set(sys.modules), unneeded & set(sys.modules)
 maps = Path("/proc/self/maps").read_text()
@@ -230,7 +230,7 @@ def test_running_foreign_fmus_needs_few_libraries_and_no_compiler(
     seconds = float(output.split()[0])
     assert seconds < 2.0  # 100,000 steps: 0.1 s in C, 5 s in Python
     assert list(home.iterdir()) == []
-    for library in ("casadi", "ziglang", "pint", "PIL", "matplotlib"):
+    for library in ("casadi", "ziglang", "scipy", "pint", "PIL", "matplotlib"):
         code = f"import importlib.util; assert importlib.util.find_spec({library!r}) is None"
         run([bin_folder / "python", "-c", code], folder)
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
-import casadi
-
 from fmus.errors import ExportError
+from fmus.extras import imports_of
 from fmus.generate.operations import (
     CALLS,
     TIMES,
@@ -23,6 +22,9 @@ from fmus.generate.operations import (
     operations_of,
 )
 from fmus.generate.trace import Traced
+
+with imports_of("build", "building an FMU"):
+    import casadi
 
 _INITIAL = """static void model_initial_{kind}(double t, const double *x, const double *u, const double *p,
                                  const double *v, double *along) {{

@@ -3,11 +3,13 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import casadi
-
 from fmus.block.variables import BlockVariable
+from fmus.extras import imports_of
 from fmus.generate.operations import follows_from, operations_of
 from fmus.generate.trace import Traced
+
+with imports_of("build", "building an FMU"):
+    import casadi
 
 _STEEP = {"SQRT", "POW", "CONSTPOW", "ASIN", "ACOS", "ACOSH", "ATANH", "ATAN2", "HYPOT"}
 _STEEP |= {"LOG", "LOG1P", "INV"}

@@ -18,12 +18,15 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
-import casadi
 import numpy as np
 
 from fmus import numerics
 from fmus.errors import ExportError
+from fmus.extras import imports_of
 from fmus.numerics.hints import hint
+
+with imports_of("build", "building an FMU"):
+    import casadi
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
 _OURS = (f"{__name__}.", f"{numerics.__name__}.")

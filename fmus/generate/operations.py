@@ -11,7 +11,11 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import takewhile
 
-import casadi
+from fmus.extras import imports_of
+
+with imports_of("build", "building an FMU"):
+    import casadi
+
 
 TIMES = ("t", "h")
 """Arguments that are numbers; all others are columns."""

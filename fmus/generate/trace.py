@@ -9,16 +9,18 @@ from collections.abc import Callable
 from functools import reduce
 from typing import Any
 
-import casadi
-
 from fmus.block import Block
 from fmus.block.integration import between_events
 from fmus.block.scalars import flatten, unflatten
 from fmus.errors import ExportError
+from fmus.extras import imports_of
 from fmus.generate import guard
 from fmus.generate.declare import check_declaration, check_requirements, check_result, scalar_names
 from fmus.generate.operations import operations_of
 from fmus.numerics.symbols import unsimplified
+
+with imports_of("build", "building an FMU"):
+    import casadi
 
 _SHORT_STEP = 1e-11  # [s]
 

@@ -18,11 +18,13 @@ from pathlib import Path
 from subprocess import PIPE, STDOUT
 from typing import IO
 
-import ziglang
-
 from fmus.errors import ExportError
+from fmus.extras import imports_of
 from fmus.operating_system import kill_group
 from fmus.platforms import FMPY, TARGETS
+
+with imports_of("build", "compiling"):
+    import ziglang
 
 # No fast-math, and no contraction of a product and a sum into one rounding: both differ between platforms.
 FLAGS = (

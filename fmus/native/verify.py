@@ -13,13 +13,15 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
-import ziglang
-
 from fmus.errors import ExportError
+from fmus.extras import imports_of
 from fmus.guid import GUID, with_guid
 from fmus.native.sbom import MEMBER, RECIPE, recipe_of, with_files
 from fmus.native.toolchain import FMI_HEADERS, compile_library
 from fmus.platforms import TARGETS, platform_folder
+
+with imports_of("build", "compiling"):
+    import ziglang
 
 SAME = "same"
 DIFFERENT = "different"

@@ -1,6 +1,7 @@
 """Commands on scenarios, run, scenarios, and on the paper: reproduce."""
 
 import math
+import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.errors import MissingExtraError
 from fmus.operating_system import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli import shared
@@ -110,11 +112,16 @@ def run(
 
 
 def _figures(title: str, recording: "Recording", path: Path, formats: Sequence[FigureFormat]) -> list[Path]:
+    """Writes the figure of a run, or prints which extra it needs."""
     if not formats:
         return []
-    from orchestration.results.figures import run_figure  # Matplotlib takes longer to import than a run
+    try:
+        from orchestration.results.figures import run_figure  # Matplotlib takes longer to import than a run
 
-    return run_figure(title, recording, path, formats)
+        return run_figure(title, recording, path, formats)
+    except MissingExtraError as error:
+        print(f"l1-depth: no figure: {error}", file=sys.stderr)
+        return []
 
 
 def _with_error_estimate(chosen: "Scenario") -> "Scenario":

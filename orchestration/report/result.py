@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from fmus.extras import imports_of
+from fmus.extras import imports_of, require
 from orchestration.errors import OrchestrationError
 from orchestration.results.metric_units import shown
 from orchestration.results.recording import Recording
@@ -158,7 +158,7 @@ def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
 
 def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None:
     # SciPy takes longer to import than a page without a sweep takes
-    from scipy.stats import rankdata
+    rankdata = require("scipy.stats", "report", "a report of a sweep").rankdata
 
     good = np.isfinite(metric)
     chosen, ranks = np.array(values)[good], rankdata(metric[good])

@@ -129,24 +129,25 @@ def _sums_of_reference(reference: bytes, points: int, first: int) -> tuple[np.nd
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:
-    """Returns the nearest delay [s] by search, for points that are not equally spaced."""
-    # SciPy takes longer to import than this search, which few recordings need
-    from scipy.optimize import minimize_scalar
+    """Returns the nearest delay [s] by search, for points that are not equally spaced.
 
+    Each grid of delays spans the parts beside the nearest delay of the grid before.
+    """
     late = slice(int(np.searchsorted(time, time[0] + largest)), None)
 
     def distance(delay: float) -> float:
         return float(np.mean((signal[late] - np.interp(time[late] - delay, time, reference)) ** 2))
 
-    coarse = np.linspace(0.0, largest, _PARTS + 1)
-    distances = [distance(delay) for delay in coarse]
-    best = int(np.argmin(distances))
-    bounds = coarse[max(best - 1, 0)], coarse[min(best + 1, _PARTS)]
-    minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": _LAG_ERROR_S})
-    if min(distances) == max(distances):
-        return math.nan
-    # the minimum may be at a bound, which the search only approaches
-    return float(minimum.x if minimum.fun < distances[best] else coarse[best])
+    low, high = 0.0, largest
+    while True:
+        grid = np.linspace(low, high, _PARTS + 1)
+        distances = [distance(delay) for delay in grid]
+        if (low, high) == (0.0, largest) and min(distances) == max(distances):
+            return math.nan
+        best = int(np.argmin(distances))
+        if high - low <= _PARTS * _LAG_ERROR_S:
+            return float(grid[best])
+        low, high = grid[max(best - 1, 0)], grid[min(best + 1, _PARTS)]
 
 
 def _leads(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> bool:

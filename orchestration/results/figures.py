@@ -12,17 +12,20 @@ from string import ascii_lowercase
 from typing import Any, BinaryIO
 
 import numpy as np
-from matplotlib import style
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import LayoutEngine
-from matplotlib.transforms import ScaledTranslation
 
+from fmus.extras import imports_of
 from fmus.files import open_atomically
 from orchestration.results.files import ERROR_ESTIMATE, Columns
 from orchestration.results.formats import FigureFormat
 from orchestration.results.panels import drawn_points, panels_of
+
+with imports_of("figures", "a figure"):
+    from matplotlib import style
+    from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import LayoutEngine
+    from matplotlib.transforms import ScaledTranslation
 
 # Colour-blind readers distinguish these (Okabe and Ito).
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"

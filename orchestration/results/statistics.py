@@ -12,6 +12,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from fmus.extras import require
+
 TAIL = 0.05  # share of the worst plants; CVaR is their mean
 CONFIDENCE = 0.95
 Name = TypeVar("Name", bound=Hashable)
@@ -75,7 +77,7 @@ def paired(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) ->
     comparisons: number of intervals that hold together with 95 % (Bonferroni)
     """
     # SciPy takes longer to import than the test takes
-    from scipy import stats
+    stats: Any = require("scipy.stats", "study", "a comparison")
 
     pairs = np.array([first, second], float)
     pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
@@ -94,7 +96,7 @@ def paired(first: npt.ArrayLike, second: npt.ArrayLike, comparisons: int = 1) ->
 
 def proportion_interval(count: int, of: int) -> tuple[float, float]:
     """Returns the 95 % interval of a share by Clopper and Pearson (1934), which covers at least 95 %."""
-    from scipy import stats
+    stats: Any = require("scipy.stats", "study", "a comparison")
 
     interval = stats.binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
     return float(interval.low), float(interval.high)

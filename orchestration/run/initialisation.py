@@ -10,7 +10,6 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -25,8 +24,8 @@ from orchestration.system.system import CheckedSystem, LinearTransformation, Por
 _MOST_ITERATIONS = 1000
 _TOLERANCE = 1e-12  # of a value or its nominal, whichever is larger
 _DIVERGENCE = 1e3  # growth of the change from iteration to iteration, from which on it diverges
-# A discarded value gets this multiple of the largest residual so far: the solver then shortens its step.
-_PENALTY = 10.0
+# of Newton's method, and of one of its steps
+_MOST_STEPS, _MOST_HALVINGS = 100, 30
 # Smallest singular value of the Jacobian: difference quotients are good to about 1e-8.
 _SINGULAR = 1e-7
 # Relative change for a difference quotient, about the square root of the rounding error.
@@ -194,38 +193,41 @@ def _iterate(loop: Loop, start: np.ndarray) -> None:
 
 
 def _solve_by_newton(loop: Loop, start: np.ndarray) -> None:
-    """Solves F(x) - x = 0 by Newton's method (Powell's hybrid one), in units of the nominals.
+    """Solves F(x) - x = 0 by Newton's method, in units of the nominals.
 
-    A value that an FMU discards, or for which an output is not finite, gets a large residual: the method then
-    takes a shorter step.
+    A step to a value that an FMU discards, for which an output is not finite, or that comes no nearer to the
+    solution, is halved.
     """
-    # imported for loops alone: it takes as long to import as all the rest
-    from scipy.optimize import root
-
     if not loop.is_real:
         raise NoSolutionError("Newton's method needs variables of type Real")
     discards: list[FmuError] = []
-    largest = np.zeros(len(start))
 
     def residual(scaled: np.ndarray) -> np.ndarray:
         values = scaled * loop.nominal
         return (loop.outputs(values) - values) / loop.nominal
 
-    def guarded_residual(scaled: np.ndarray) -> np.ndarray:
+    def size(scaled: np.ndarray) -> float:
         try:
-            result = residual(scaled)
+            return float(np.linalg.norm(residual(scaled)))
         except FmuError as error:
-            if error.status != "discard" or not largest.any():
+            if error.status != "discard":
                 raise
             discards.append(error)
-            return _PENALTY * largest
-        if not np.all(np.isfinite(result)) and largest.any():
-            return _PENALTY * largest
-        largest[:] = np.fmax(largest, np.abs(result).max())
-        return result
+            return math.inf
 
+    solution = start / loop.nominal
     try:
-        solution = root(guarded_residual, start / loop.nominal, options={"xtol": 1e-15}).x
+        for _ in range(_MOST_STEPS):
+            present = residual(solution)
+            if not (present.any() and np.all(np.isfinite(present))):
+                break
+            step, *_ = np.linalg.lstsq(_jacobian(residual, solution, present), -present)
+            shortened = (solution + step / 2.0**halvings for halvings in range(_MOST_HALVINGS))
+            least = np.linalg.norm(present)
+            nearer = next((point for point in shortened if size(point) < least), None)
+            if nearer is None:
+                break
+            solution = nearer
         _check_solution(loop, solution, residual)
     except FmuError as error:
         raise _discarded_value("Newton's method ends", error) from error
@@ -233,18 +235,23 @@ def _solve_by_newton(loop: Loop, start: np.ndarray) -> None:
         raise _discarded_value(str(reason), discards[-1]) if discards else reason from None
 
 
-def _check_solution(loop: Loop, solution: np.ndarray, residual: Callable[[np.ndarray], np.ndarray]) -> None:
-    from scipy.optimize import approx_fprime
+def _jacobian(
+    residual: Callable[[np.ndarray], np.ndarray], point: np.ndarray, at_point: np.ndarray
+) -> np.ndarray:
+    """Returns the matrix of difference quotients at a point, shape (n, n)."""
+    widths = _DIFFERENCE * np.maximum(np.abs(point), 1.0)
+    return np.column_stack([(residual(point + row) - at_point) / row.sum() for row in np.diag(widths)])
 
+
+def _check_solution(loop: Loop, solution: np.ndarray, residual: Callable[[np.ndarray], np.ndarray]) -> None:
     values = solution * loop.nominal
-    width = _DIFFERENCE * np.maximum(np.abs(solution), 1.0)
-    jacobian: Any = approx_fprime(solution, residual, width)
+    jacobian = _jacobian(residual, solution, residual(solution))
     # computed last: the FMUs keep the values of the last evaluation
     difference = residual(solution) * loop.nominal
     size = loop.relative_size(difference, values)
     if size > _TOLERANCE:
         raise NoSolutionError(f"Newton's method ends where values still differ by {size:.3g}")
-    if np.linalg.svd(np.atleast_2d(jacobian), compute_uv=False)[-1] < _SINGULAR:
+    if np.linalg.svd(jacobian, compute_uv=False)[-1] < _SINGULAR:
         raise NoSolutionError("Newton's method ends where the loop is singular: its solution is not unique")
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.extras import imports_of
 from orchestration.errors import ScenarioError
 from orchestration.system.quantities import Conversion
 
@@ -69,7 +70,9 @@ def _within(quantile: Callable[[np.ndarray], np.ndarray], low: float, high: floa
 
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
     """Returns the normal distribution; std: standard deviation."""
-    from scipy.special import ndtr, ndtri  # which take longer to import than to draw
+    # SciPy takes longer to import than to draw
+    with imports_of("sweep", "a sweep"):
+        from scipy.special import ndtr, ndtri
 
     _positive("std", std)
     support = -math.inf, math.inf
@@ -78,7 +81,8 @@ def normal(mean: float, std: float, low: float = -math.inf, high: float = math.i
 
 def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.inf) -> Distribution:
     """Returns the lognormal distribution; sigma: standard deviation of the natural logarithm."""
-    from scipy.special import ndtr, ndtri
+    with imports_of("sweep", "a sweep"):
+        from scipy.special import ndtr, ndtri
 
     _positive("median", median)
     _positive("sigma", sigma)

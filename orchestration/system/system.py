@@ -2,14 +2,12 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from fmus.errors import nearest
 from fmus.fmi.description import describe, of_causality
@@ -248,15 +246,31 @@ class CheckedSystem:
 
 
 def _component_labels(dependencies: Mapping[int, set[int]]) -> list[int]:
-    """Returns the strongly connected component of each node."""
-    # imported for loops alone: it takes as long to import as all the rest
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    """Returns the strongly connected component of each node, by two walks in depth (Sharir 1981)."""
+    dependants: dict[int, list[int]] = {i: [] for i in dependencies}
+    for i, all_earlier in dependencies.items():
+        for earlier in all_earlier:
+            dependants[earlier].append(i)
+    last_first = [i for _, inside in _walks(dependencies, dependencies) for i in inside][::-1]
+    labels = {i: root for root, inside in _walks(dependants, last_first) for i in inside}
+    return [labels[i] for i in range(len(labels))]
 
-    edges = [(earlier, i) for i, all_earlier in dependencies.items() for earlier in all_earlier]
-    rows, columns = np.array(edges, dtype=int).reshape(-1, 2).T
-    matrix = coo_array((np.ones(len(edges)), (rows, columns)), shape=(len(dependencies),) * 2)
-    return connected_components(matrix.tocsr(), connection="strong")[1].tolist()
+
+def _walks(graph: Mapping[int, Iterable[int]], roots: Iterable[int]) -> Iterator[tuple[int, list[int]]]:
+    """Yields each root that no earlier walk reached, and what its walk reaches anew, the farthest first."""
+    reached = set[int]()
+    for root in roots:
+        path, ended = [(root, iter(graph[root]))] if root not in reached else [], list[int]()
+        reached.add(root)
+        while path:
+            new = next((one for one in path[-1][1] if one not in reached), None)
+            if new is None:
+                ended.append(path.pop()[0])
+            else:
+                reached.add(new)
+                path.append((new, iter(graph[new])))
+        if ended:
+            yield root, ended
 
 
 def check(

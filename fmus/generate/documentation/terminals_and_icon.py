@@ -12,11 +12,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields
 from xml.etree import ElementTree
 
-from PIL import Image, ImageDraw, ImageFont
-
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
+from fmus.extras import imports_of
 from fmus.files import xml_document
+
+with imports_of("build", "building an FMU"):
+    from PIL import Image, ImageDraw, ImageFont
 
 # pixels, both ways
 SIZE = 512

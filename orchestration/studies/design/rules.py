@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.optimize import brentq
 
 from controller_fmu.design import FilterOrder, l1_condition, lyapunov_matrix
+from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.studies.design.vehicle_data import Range, VehicleData
 from orchestration.studies.margins.l1_loop import (
@@ -34,6 +34,9 @@ from orchestration.studies.margins.l1_loop import (
     plant_equations,
 )
 from orchestration.studies.margins.linear_margins import Equation, LinearLoop, margins
+
+with imports_of("study", "a design"):
+    from scipy.optimize import brentq
 
 PHASE_MARGIN = 20.0  # deg; in the worst corner, where a nominal loop is asked for 45
 NORM = 0.95  # of |G|_L1 L, which must stay below 1

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.extras import require
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios.free_parameter import FreeParameter
 
@@ -77,7 +78,8 @@ class LeastSquares:
 
         options: of `scipy.optimize.least_squares`
         """
-        from scipy.optimize import least_squares  # slow to import
+        # slow to import
+        least_squares = require("scipy.optimize", "study", "a fit").least_squares
 
         self.ended = f"the {self.evaluations} evaluations are used up"
         with suppress(_OutOfEvaluations):
@@ -193,7 +195,8 @@ def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.nd
 
     series: splits the residuals by dives
     """
-    from scipy.stats import t as student  # slow to import
+    # slow to import
+    student = require("scipy.stats", "study", "a fit").t
 
     free, best, residuals, cost = search.free, search.best, search.residuals, search.cost
     tau = correlation_time(series(residuals))

@@ -13,7 +13,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+
+from fmus.extras import imports_of
+
+with imports_of("study", "a margin"):
+    from scipy.optimize import brentq
 
 # 1/s; a pole beyond it belongs to an algebraic equation
 _INFINITE = 1e6

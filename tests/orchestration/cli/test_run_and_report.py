@@ -136,15 +136,18 @@ def test_a_run_without_room_for_its_recording_is_refused_before_it_begins(
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_a_run_without_figures_loads_nothing_that_draws(command: Command, tmp_path: Path) -> None:
+def test_a_run_needs_nothing_that_draws_and_says_which_extra_a_figure_needs(
+    command: Command, tmp_path: Path
+) -> None:
     code = f"""
 import sys
 from orchestration.cli.commands import run_command
-run_command(["run", "nominal-extended", "--formats", "none", "--out", {str(tmp_path / "out")!r}])
-print(*sys.modules)
+sys.modules["matplotlib"] = None
+for formats in ("none", "pdf"):
+    run_command(["run", "nominal-extended", "--formats", formats, "--out", {str(tmp_path / "out")!r}])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "matplotlib" not in done.stdout.splitlines()[-1].split()
+    assert done.stderr == "l1-depth: no figure: a figure needs matplotlib: pip install 'l1-depth[figures]'\n"
     assert {file.suffix for file in (tmp_path / "out").iterdir()} == {".csv", ".json"}
 
 
