@@ -25,7 +25,6 @@ from orchestration.run.access import (
     SavedState,
     Snapshot,
     Writer,
-    Written,
     set_in_fmu,
     stale,
 )
@@ -74,13 +73,10 @@ class Run:
             run.step()
         recording = run.recording()
 
-    If the caller sets nothing, the recording equals `Simulator.run`'s to the last bit. The second run of an
-    error estimate sets the caller's values at the points that both runs have; it does not close a loop that
-    the caller closes.
+    If the caller sets nothing, the recording equals `Simulator.run`'s to the last bit.
 
     failure: why the run cannot go on; empty if it can
     batch: steps of the next batch
-    written: the caller's values so far, if the error is to be estimated
     """
 
     # time [s] when a step of any run looks again, as the runs share the process
@@ -93,22 +89,20 @@ class Run:
         statistics: RunStatistics,
         threads: int | None = 1,
         pacing: Pacing | None = None,
-        estimate: Callable[["Run", Recording], Recording] | None = None,
     ) -> None:
         """Makes a run of FMUs that are not initialised.
 
-        threads: see `StepThreads`; pacing: in real time; estimate: adds the error estimate to a recording
+        threads: see `StepThreads`; pacing: in real time
         """
         self.wired, self.prepared, self.wiring = wired, wired.prepared, wired.wiring
         self.statistics, self.failure, self.batch = statistics, "", 1
         self._resources = ExitStack()  # freed when the run ends
         self._batch_start = None if wired.prepared.retry_obstacle else self._snapshot()
-        self._loop, self._guard, self._pacing, self._estimate = wired.loop, guard, pacing, estimate
+        self._loop, self._guard, self._pacing = wired.loop, guard, pacing
         self._threads = StepThreads(wired.wiring, wired.loop, threads)
         self._resources.callback(self._threads.close)
         self._step_control: StepControl | None = None
-        self.written: list[Written] = []
-        self._access = Access(wired, self.record_now, self.written)
+        self._access = Access(wired, self.record_now)
         self._resources.callback(self._access.close)
         self._record = Record(wired.wiring.rows, wired.wiring.faults.history.T)
         self._unused: list[Snapshot] = []  # of saved states
@@ -376,16 +370,12 @@ class Run:
         return self._access.writer(*names)
 
     def recording(self) -> Recording:
-        """Returns the values recorded until now, including the present communication point.
-
-        An error estimate of anything new loads the FMUs a second time.
-        """
+        """Returns the values recorded until now, including the present communication point."""
         self._check_not_ended()
         if not self.failure:
             self.record_now()
             self._look_around()
-        recording = self.recorded()
-        return self._estimate(self, recording) if self._estimate else recording
+        return self.recorded()
 
     def recorded(self, is_final: bool = False) -> Recording:
         """Returns the values recorded; is_final: the run has ended, the rows are the recording's."""
@@ -413,8 +403,7 @@ class Run:
             raise failure_error(self.wired)
         control = self.step_control
         step_control = control.state if control else {}
-        segment, written = self._record.keep(point), tuple(self.written)
-        return SavedState(snapshot, point, step_control, segment, written, self._unused)
+        return SavedState(snapshot, point, step_control, self._record.keep(point), self._unused)
 
     def restore(self, state: SavedState) -> None:
         """Goes back to a state that this run saved, also after a failure, or on to one on another way.
@@ -435,7 +424,6 @@ class Run:
         if state.segment is not self._record.present:
             self._record.return_to(state.segment)
         self._report[_POSITION] = self._report[_RECORDED] = state.position
-        self.written[:] = state.written
         if self._step_control:
             self._step_control.state = state.step_control
 
