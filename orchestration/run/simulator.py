@@ -4,6 +4,7 @@ import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -284,7 +285,8 @@ class Simulator(LoadedSystem):
             wired = earlier.again(prepared, storage)
         else:
             wired = build_wiring(prepared, self._instances, storage, self._loop)
-        self._wired = wired.without_rows()
+        # `again` needs all but the record, which takes most memory
+        self._wired = replace(wired, wiring=wired.wiring._replace(rows=np.empty((0, 0))))
         self._last_run = Run(wired, guard, statistics, **settings)
         return self._last_run
 
