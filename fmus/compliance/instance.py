@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
-from fmus.compliance.model_exchange import ModelExchangeInstance
+from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import ALLOCATIONS, defect
 from fmus.compliance.script import STEPS
@@ -57,7 +57,7 @@ class LoadedFmu:
     ) -> None:  # fmt: skip
         self._library = Library(library, interface, optional)
         self._resources, self._printed = resources, printed
-        self._class = CalledInstance if interface == CO_SIMULATION else ModelExchangeInstance
+        self._class = CalledInstance if interface == CO_SIMULATION else CalledModelExchange
         self._announced = announced
         self._memory = CountingAllocator()
         self._settings = ProcessSettings()

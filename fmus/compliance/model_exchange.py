@@ -2,6 +2,9 @@
 
 At communication points the instance is in event mode, in which every variable can be read, and inputs,
 tunable parameters and saved states can be set.
+
+`fmus/fmi/model_exchange.py` runs FMUs by CVode. Here an explicit scheme steps: a rule reads every call of a
+step and what each event changes, which CVode hides, and the process of the FMU loads no other library.
 """
 
 import ctypes
@@ -43,7 +46,7 @@ class _StepEndsError(Exception):
     """A step that cannot go on; the message is the reason, or empty after a call that failed."""
 
 
-class ModelExchangeInstance(CalledInstance):
+class CalledModelExchange(CalledInstance):
     """An instance for model exchange.
 
     further options: states and indicators, the numbers of both

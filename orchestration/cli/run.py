@@ -102,9 +102,7 @@ def run(
         figures = _figures(chosen.title, result.recording, out / chosen.name, written_formats)
         if result.metrics:
             print(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
-        _print_error_estimate(result.recording)
-        _print_end(result.recording)
-        _print_pace(result.recording)
+        _print_remarks(result.recording)
         if statistics:
             print(statistics_table(result.recording.provenance["statistics"]))
         written = [out / f"{chosen.name}.{ending}" for ending in (file_format, "json")]
@@ -133,26 +131,16 @@ def _with_error_estimate(chosen: "Scenario") -> "Scenario":
     )
 
 
-def _print_error_estimate(recording: "Recording") -> None:
-    """Prints the estimated errors of exchanging at communication points, if they were asked for."""
-    estimate = recording.provenance.get("error_estimate")
-    if estimate:
+def _print_remarks(recording: "Recording") -> None:
+    """Prints the estimated error, which FMU ended the run early, and how well a run kept pace."""
+    remarks = recording.provenance
+    if estimate := remarks.get("error_estimate"):
         units = dict(zip(recording.names, recording.units, strict=True))
         print(error_table(estimate["quantities"], units))
-
-
-def _print_end(recording: "Recording") -> None:
-    """Prints which FMU terminated the run before its stop time, if one did."""
-    terminated = recording.provenance.get("terminated")
-    if terminated:
+    if terminated := remarks.get("terminated"):
         where = f"{terminated['component']} terminated the simulation at t = {terminated['time_s']:.9g} s"
         print("; ".join([where, *terminated["messages"]]))
-
-
-def _print_pace(recording: "Recording") -> None:
-    """Prints how well a run in real time kept pace."""
-    pace = recording.provenance.get("real_time")
-    if pace:
+    if pace := remarks.get("real_time"):
         missed, worst, where = pace["missed_deadlines"], pace["worst_lateness_s"], pace["worst_at_s"]
         print(f"{missed} deadlines missed, the worst by {1e3 * worst:.3g} ms at t = {where:g} s")
 

@@ -29,8 +29,6 @@ from orchestration.system.values import Value, fmi_value, value_range
 
 Reader = Callable[[], Any]
 Writer = Callable[..., None]
-Written = tuple[int, str, Value]
-"""Index of a communication point, and the name and the value of what is set there."""
 
 _LARGEST = sys.float_info.max
 _PLAIN: dict[str, Callable[[float], Any]] = {"Real": float, "Boolean": bool}  # others: int
@@ -40,11 +38,10 @@ class Access:
     """Reads and sets values of one run, until it is closed.
 
     exchange: gives inputs at the present communication point the values that they have there
-    written: gets the values that are set, if the error of the run is to be estimated
     """
 
-    def __init__(self, run: WiredRun, exchange: Callable[[], object], written: list[Written]) -> None:
-        self._run, self._exchange, self._written = run, exchange, written
+    def __init__(self, run: WiredRun, exchange: Callable[[], object]) -> None:
+        self._run, self._exchange = run, exchange
         self._system, self._index = run.prepared.system, run.bus.index
         self._bus: Any = run.wiring.bus.data  # of float64, which typing does not know
 
@@ -97,10 +94,10 @@ class Access:
     def writer(self, *names: str) -> Writer:
         """Returns a function that sets one variable or several in order."""
         if len(names) == 1:
-            return self._noting_writer(*names)
+            return self._writer(*names)
         if not names:
             raise SystemDefinitionError("writer: expected the name of a variable, or several")
-        writers = [self._noting_writer(name) for name in names]
+        writers = [self._writer(name) for name in names]
 
         def write(*values: Value) -> None:
             if len(values) != len(writers):
@@ -109,17 +106,6 @@ class Access:
                 write_one(value)
 
         return write
-
-    def _noting_writer(self, name: str) -> Callable[[Value], None]:
-        write, report = self._writer(name), self._run.wiring.report
-        if not self._run.prepared.experiment.error_estimate:
-            return write
-
-        def write_and_note(value: Value) -> None:
-            write(value)
-            self._written.append((int(report[Report.POSITION]), name, value))
-
-        return write_and_note
 
     def _writer(self, name: str) -> Callable[[Value], None]:
         port = self._system.port(name, "set")
@@ -255,7 +241,6 @@ class Record:
 class SavedState:
     """The whole system at one communication point of a run: opaque, for `Run.restore` in that run.
 
-    written: the caller's values until then, if the error is to be estimated
     unused: memory for the run's next saved states; a deleted state returns its snapshot there
     """
 
@@ -263,7 +248,6 @@ class SavedState:
     position: int
     step_control: Mapping[str, Any]
     segment: Segment
-    written: tuple[Written, ...]
     unused: list[Snapshot]
 
     def __del__(self) -> None:

@@ -1,11 +1,10 @@
 """The error that exchanging at communication points leaves in a run, estimated by a run at twice the step.
 
 Richardson's estimate: an exchange of order p leaves the error C h^p; at twice the step it is 2^p times as
-large, so that the two runs differ by d = (2^p - 1) C h^p. The second run starts at the start time: no FMU has
-to go back in time or to give derivatives, nor to be loaded twice but for a run that the caller leads step by
-step, which goes on beside it. With a tolerance, the second run has a tolerance 2^p times as large as well. A
-component that takes one internal step for each communication step does so in both runs: its parameter
-`internal_step` [s] becomes longer too.
+large, so that the two runs differ by d = (2^p - 1) C h^p. The second run follows, from the start time on: no
+FMU has to go back in time, to give derivatives, or to be loaded twice. With a tolerance, the second run has a
+tolerance 2^p times as large. A component that takes one internal step for each communication step does so in
+both runs: its parameter `internal_step` [s] becomes longer too.
 
 The recording holds a bound: a multiple of the largest d of the last three common points. d / (2^p - 1) itself
 is no bound, because d may pass through 0 where the error does not.
@@ -20,11 +19,8 @@ Source: P. J. Roache, Perspective: a method for uniform reporting of grid refine
 
 import math
 import warnings
-from collections import deque
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,8 +28,6 @@ import numpy as np
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.files import ERROR_ESTIMATE
 from orchestration.results.recording import Recording
-from orchestration.run.access import Written
-from orchestration.run.run import Run
 from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.prepared_run import PreparedRun, values_of
 from orchestration.system.time_grid import GRID_TOLERANCE
@@ -85,45 +79,6 @@ def with_error_estimate(
         values=np.column_stack([recording.values, bounds]),
         provenance={**recording.provenance, "error_estimate": entry},
     )
-
-
-class StepwiseEstimate:
-    """The error estimate of a run that the caller leads: another run takes what was set at common points.
-
-    second: returns another simulator of the system
-    """
-
-    def __init__(self, second: Callable[[], AbstractContextManager[Any]]) -> None:
-        self._second = second
-        self._known: tuple[list[Written], Recording, Recording] | None = None
-
-    def __call__(self, run: Run, recording: Recording) -> Recording:
-        """Returns the recording of a run until now with its estimate, which is made where anything is new."""
-        if self._known:
-            written, before, estimated = self._known
-            is_same = np.array_equal(before.values, recording.values, equal_nan=True)
-            if is_same and written == run.written:
-                return estimated
-        estimated = with_error_estimate(recording, run.prepared, partial(self._repeat, run))
-        self._known = [*run.written], recording, estimated
-        return estimated
-
-    def _repeat(self, run: Run, experiment: Experiment) -> Recording:
-        """Leads a run at twice the step to the present point of this one, with what was set here.
-
-        Raises OrchestrationError where this one is not two steps from its start.
-        """
-        if run.point < 2:
-            raise OrchestrationError(f"expected at least two steps, got {run.point}")
-        remaining = deque(run.written)
-        with self._second() as simulator:
-            other: Run = simulator.start(experiment, list(run.prepared.external))
-            while not other.is_done and 2 * (other.point + 1) <= run.point:
-                while remaining and remaining[0][0] <= 2 * other.point:
-                    _, name, value = remaining.popleft()
-                    other.set(name, value)
-                other.step()
-            return other.recording()
 
 
 def longer_internal_steps(prepared: PreparedRun) -> dict[str, float]:

@@ -25,7 +25,6 @@ from orchestration.run.access import (
     SavedState,
     Snapshot,
     Writer,
-    Written,
     set_in_fmu,
     stale,
 )
@@ -74,9 +73,7 @@ class Run:
             run.step()
         recording = run.recording()
 
-    If the caller sets nothing, the recording equals `Simulator.run`'s to the last bit. The second run of an
-    error estimate sets the caller's values at the points that both runs have; it does not close a loop that
-    the caller closes.
+    If the caller sets nothing, the recording equals `Simulator.run`'s to the last bit.
 
     Attributes
     ----------
@@ -84,8 +81,6 @@ class Run:
         Why the run cannot go on; empty if it can.
     batch : int
         Steps of the next batch.
-    written : list
-        The caller's values so far, if the error is to be estimated.
     """
 
     # time [s] when a step of any run looks again, as the runs share the process
@@ -98,7 +93,6 @@ class Run:
         statistics: RunStatistics,
         threads: int | None = 1,
         pacing: Pacing | None = None,
-        estimate: Callable[["Run", Recording], Recording] | None = None,
     ) -> None:
         """Makes a run of FMUs that are not initialised.
 
@@ -114,19 +108,16 @@ class Run:
             See `StepThreads`.
         pacing : Pacing, optional
             In real time.
-        estimate : callable, optional
-            Adds the error estimate to a recording.
         """
         self.wired, self.prepared, self.wiring = wired, wired.prepared, wired.wiring
         self.statistics, self.failure, self.batch = statistics, "", 1
         self._resources = ExitStack()  # freed when the run ends
         self._batch_start = None if wired.prepared.retry_obstacle else self._snapshot()
-        self._loop, self._guard, self._pacing, self._estimate = wired.loop, guard, pacing, estimate
+        self._loop, self._guard, self._pacing = wired.loop, guard, pacing
         self._threads = StepThreads(wired.wiring, wired.loop, threads)
         self._resources.callback(self._threads.close)
         self._step_control: StepControl | None = None
-        self.written: list[Written] = []
-        self._access = Access(wired, self.record_now, self.written)
+        self._access = Access(wired, self.record_now)
         self._resources.callback(self._access.close)
         self._record = Record(wired.wiring.rows, wired.wiring.faults.history.T)
         self._unused: list[Snapshot] = []  # of saved states
@@ -496,8 +487,6 @@ class Run:
     def recording(self) -> Recording:
         """Returns the values recorded until now, including the present communication point.
 
-        An error estimate of anything new loads the FMUs a second time.
-
         Returns
         -------
         Recording
@@ -511,8 +500,7 @@ class Run:
         if not self.failure:
             self.record_now()
             self._look_around()
-        recording = self.recorded()
-        return self._estimate(self, recording) if self._estimate else recording
+        return self.recorded()
 
     def recorded(self, is_final: bool = False) -> Recording:
         """Returns the values recorded until now, without the present communication point.
@@ -558,8 +546,7 @@ class Run:
             raise failure_error(self.wired)
         control = self.step_control
         step_control = control.state if control else {}
-        segment, written = self._record.keep(point), tuple(self.written)
-        return SavedState(snapshot, point, step_control, segment, written, self._unused)
+        return SavedState(snapshot, point, step_control, self._record.keep(point), self._unused)
 
     def restore(self, state: SavedState) -> None:
         """Goes back to a state that this run saved, also after a failure, or on to one on another way.
@@ -588,7 +575,6 @@ class Run:
         if state.segment is not self._record.present:
             self._record.return_to(state.segment)
         self._report[_POSITION] = self._report[_RECORDED] = state.position
-        self.written[:] = state.written
         if self._step_control:
             self._step_control.state = state.step_control
 

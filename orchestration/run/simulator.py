@@ -4,7 +4,7 @@ import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, chdir, contextmanager
-from functools import partial
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -15,7 +15,7 @@ from orchestration.errors import FmuLoadError, OrchestrationError, SimulationErr
 from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
-from orchestration.run.error_estimate import StepwiseEstimate, with_error_estimate
+from orchestration.run.error_estimate import with_error_estimate
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, deferred_interrupt, new_report
 from orchestration.run.run import Progress, Run
@@ -209,17 +209,17 @@ class Simulator(LoadedSystem):
         Raises
         ------
         SystemDefinitionError
-            Also for an error estimate with an FMU that can be instantiated only once: its second run is made
-            beside this one.
+            Also for an error estimate: its second run is made by the whole experiment again.
         FmuLoadError, SimulationError
             As `run` does.
         """
+        if experiment.error_estimate:
+            raise SystemDefinitionError(
+                "error_estimate of a run that the caller leads: expected False, or run(experiment)",
+                ("experiment", "error_estimate"),
+            )
         with self._begin_run():
-            estimate = None
-            if experiment.error_estimate:
-                self._check_can_load_twice()
-                estimate = StepwiseEstimate(partial(type(self), self.system))
-            run = self._begin(experiment, tuple(external), estimate=estimate)
+            run = self._begin(experiment, tuple(external))
             try:
                 with deferred_interrupt():
                     run.initialise()
@@ -227,14 +227,6 @@ class Simulator(LoadedSystem):
                 raise SimulationError(reason_of(error), run.recorded()) from error
             self._must_reload = False
             return run
-
-    def _check_can_load_twice(self) -> None:
-        for name, description in self._descriptions.items():
-            if description.coSimulation.canBeInstantiatedOnlyOncePerProcess:
-                raise SystemDefinitionError(
-                    f"error_estimate: {name} can be instantiated only once in a process: "
-                    "expected run(experiment), which makes the second run after the first"
-                )
 
     @contextmanager
     def _begin_run(self) -> Iterator[None]:
@@ -293,7 +285,8 @@ class Simulator(LoadedSystem):
             wired = earlier.again(prepared, storage)
         else:
             wired = build_wiring(prepared, self._instances, storage, self._loop)
-        self._wired = wired.without_rows()
+        # `again` needs all but the record, which takes most memory
+        self._wired = replace(wired, wiring=wired.wiring._replace(rows=np.empty((0, 0))))
         self._last_run = Run(wired, guard, statistics, **settings)
         return self._last_run
 

@@ -56,10 +56,6 @@ class WiredRun:
         """The communication loop over the arrays."""
         return self.loop_of(self.wiring)
 
-    def without_rows(self) -> "WiredRun":
-        """Returns this for `again`, without what was recorded in memory."""
-        return replace(self, wiring=self.wiring._replace(rows=np.empty((0, 0))))
-
     def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
         """Returns the wiring of a run that differs in settings alone and follows this ended one."""
         if self.strings.table != Strings().table:

@@ -57,7 +57,7 @@ def _by_name(groups: dict[str, list[Variable]], values: dict[str, Sequence[Any]]
 
 @dataclass
 class Event:
-    """An event, and the continuous-time mode after it, as `ModelExchangeInstance` observes them.
+    """An event, and the continuous-time mode after it, as `CalledModelExchange` observes them.
 
     words: in messages; previous: the event before; infos: fmi2EventInfo of each iteration
     is_after_set: whether it ends a step before which something was set
@@ -110,7 +110,7 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
     """Returns the events of a run up to the stop time, played once, and the reason why it ended before.
 
     others: number of the run with other inputs, if it is one; steps: their number, at whose ends the instance
-      is in event mode; options: of `ModelExchangeInstance`
+      is in event mode; options: of `CalledModelExchange`
     """
 
     def played() -> tuple[list[Event], str]:

@@ -1,6 +1,5 @@
 """The estimated error of a run beside the true one."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +11,13 @@ from scipy.linalg import expm
 
 from orchestration.errors import FmuWarning, SystemDefinitionError
 from orchestration.results.files import ERROR_ESTIMATE
-from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
 from orchestration.run.error_estimate import longer_internal_steps
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import LOOP, alone, coupled, solution
-from tests.orchestration.python_loop import simulator_of
+from tests.orchestration.linear_systems import coupled, solution
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
 
@@ -171,78 +168,9 @@ def test_what_cannot_be_estimated_is_refused(linear: Build) -> None:
         simulate(coupled(linear), Experiment(0.1, 0.1, error_estimate=True))
 
 
-def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recording:
-    """The input u[2] of one is set at each point; as many `detours` of two steps are taken back."""
-    run = simulator.start(experiment, external=["one.u[2]"])
-    while not run.is_done:
-        for _ in range(detours):
-            state = run.save()
-            while not run.is_done and run.point < state.position + 2:
-                run.set("one.u[2]", 100.0)
-                run.step()
-            run.restore(state)
-        run.set("one.u[2]", math.sin(run.time))
-        run.step()
-    return run.recording()
-
-
-def test_a_run_that_is_led_step_by_step_has_the_estimate_of_a_whole_run(
-    linear: Build, compiled: bool
-) -> None:
-    experiment = Experiment(1.0, 0.1, error_estimate=True)
-    with simulator_of(coupled(linear), compiled) as simulator:
-        complete = simulator.run(experiment)
-        run = simulator.start(experiment)
-        while not run.is_done:
-            run.step()
-        recording = run.recording()
-    assert_same_bits(recording, complete)
-    assert recording.provenance["error_estimate"] == complete.provenance["error_estimate"]
-
-
-def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Build) -> None:
-    """x' = A x + (sin t, 0): the error of holding exchanged and set inputs, beside small steps."""
-    one = linear(b=(0.5, 1.0), d=((0.0, 0.0),), saves_state=True)
-    fmus = {"one": one, "two": linear(a=-2.0, b=(-3.0,), saves_state=True)}
-    experiment = Experiment(2.0, 0.05, error_estimate=True)
-    with Simulator(System(fmus, LOOP)) as simulator:
-        run = led(simulator, experiment)
-        with_detours = led(simulator, experiment, detours=1)
-        fine = led(simulator, Experiment(2.0, 0.0005))
-    assert np.array_equal(with_detours.values, run.values)
-    errors = [np.abs(run[name] - fine[name][::100]) for name in OUTPUTS]
-    estimated = [run[f"{ERROR_ESTIMATE}{name}"] for name in OUTPUTS]
-    assert np.max(errors) <= np.max(estimated) <= 10.0 * np.max(errors)
-
-
-def test_the_estimate_of_a_stepped_run_is_made_again_only_after_something_new(linear: Build) -> None:
-    with Simulator(alone(linear)) as simulator:
-        run = simulator.start(Experiment(1.0, 0.1, error_estimate=True), ["one.u[1]"])
-        for _ in range(4):
-            run.step()
-        first = run.recording()
-        assert run.recording() is first
-        run.set("one.u[1]", 2.0)
-        changed = run.recording()
-        assert changed is not first
-        run.step()
-        assert len(run.recording().time) == len(changed.time) + 1
-        run = simulator.start(Experiment(1.0, 0.1), ["one.u[1]"])
-        assert "error_estimate" not in run.recording().provenance
-
-
 def test_both_runs_of_an_estimate_report_their_progress(linear: Build) -> None:
     """So that either can be interrupted from there."""
     totals: list[int] = []
     with Simulator(coupled(linear)) as simulator:
         simulator.run(Experiment(2.0, 0.1, error_estimate=True), lambda done, total: totals.append(total))
     assert list(dict.fromkeys(totals)) == [20, 10]
-
-
-def test_the_estimate_of_less_than_two_steps_is_no_number(linear: Build) -> None:
-    with Simulator(coupled(linear)) as simulator:
-        run = simulator.start(Experiment(1.0, 0.1, error_estimate=True))
-        run.step()
-        with pytest.warns(FmuWarning, match="no error estimate: .* expected at least two steps, got 1"):
-            recording = run.recording()
-    assert np.all(np.isnan(recording[f"{ERROR_ESTIMATE}{OUTPUTS[0]}"]))
