@@ -275,7 +275,7 @@ class _Judge:
         """Returns the finding of a call that ends the process or exceeds the time limit. The same call is a
         finding of the first rule alone, unless a later one is more severe.
         """
-        call, severity = probe.process.call_under_way, list(Level)
+        call, severity = without_folders(probe.process.call_under_way), list(Level)
         message = f"{what}, in {call}" if call else what
         others = (r.rule for r in self.results.values() if message in r.messages and r.rule is not rule)
         severe = [o.name for o in others if severity.index(o.level) <= severity.index(rule.level)]

@@ -89,13 +89,12 @@ class CalledInstance(parts.StateSlots):
     def create(self) -> bool:
         """Calls fmi2Instantiate; False if it returns NULL."""
         options = self._options
-        strings = [
-            ctypes.create_string_buffer(options.get(key, default).encode())
-            for key, default in (("name", USUAL_NAME), ("guid", ""), ("location", ""))
-        ]
+        defaults = ("name", USUAL_NAME), ("guid", ""), ("location", "")
+        texts = [options.get(key, default) for key, default in defaults]
+        strings = [ctypes.create_string_buffer(text.encode()) for text in texts]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
-        self._tell("fmi2Instantiate", (options.get("name", "instance"), options.get("guid")))
+        self._tell("fmi2Instantiate", texts)
         address = self.library.fmi2Instantiate(
             name, options.get("interface", self.interface), guid, location, ctypes.byref(structure),
             0, int(options.get("logging", False)),

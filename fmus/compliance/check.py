@@ -202,12 +202,11 @@ def _print(checked: "Checked", format_name: str, out: Path | None) -> None:
 
 
 def _status(checked: "Checked", strict: bool) -> int:
-    from fmus.compliance.report import unloaded
+    from fmus.compliance.report import failure, unloaded
     from fmus.errors import HostError
 
-    if count := len(checked.failing):
-        what = "error" if checked.fail_on is Level.ERROR else "finding"
-        _tell(f"{count} {what}{'s' * (count > 1)} found: expected none")
+    if found := failure(checked):
+        _tell(f"{found}: expected none")
         return 1
     if reasons := unloaded(checked.results):
         raise HostError("; ".join(reasons))

@@ -16,14 +16,13 @@ from fmus.compliance.sentences import rule_table
 from fmus.errors import nearest
 
 IN_BASELINE = "in the baseline"
-_MOST_SHOWN = 3  # messages of one rule about one FMU; more are one line
 _PYTHONFMU = "pythonfmu/__init__.py"
 _LINE = re.compile(r"(?:^|\()line (\d+)[:)]")  # FMPy puts it into parentheses
 # the name in a message: in apostrophes, at its begin or after "of", without the punctuation that follows
 _NAMED = re.compile(r"'([^']+)'|(?:^|\bof )([^\s:']+?)(?=[:,]?(?:\s|$))")
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?(?:[/\\][^/\\\s:'\"]+)+[/\\]")  # of an absolute path
 _NUMBER = re.compile(r"(?<![\w\[#.])[+-]?(?:0x[0-9a-f]+|\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\w\]])")
-_MORE = re.compile(r" \(and \d+ more like it\)")  # of `counted`
+_MORE = re.compile(r" \(and (\d+) more like it\)")  # of `counted`
 _START = re.compile(r", (?:[\w ]+ )?in a run")  # in words of `differential.starts`
 _TYPES = {str: "a text", date: "a date, such as 2027-01-31 without quotes"}
 
@@ -214,12 +213,13 @@ def no_longer_found(baseline: Mapping[str, int], findings: Iterable[Finding], fm
 
 
 def folded(findings: Iterable[Finding]) -> list[tuple[Finding, int]]:
-    """Returns findings with counts: more than a few of one rule about one FMU are one, with their count."""
+    """Returns the first finding of each rule about each FMU, with the number of others like it."""
     groups: dict[tuple[Path, str, str], list[Finding]] = {}
     for finding in findings:
         groups.setdefault((finding.fmu, finding.rule.name, finding.accepted), []).append(finding)
-    lines = list[tuple[Finding, int]]()
+    folded = list[tuple[Finding, int]]()
     for group in groups.values():
-        is_long = len(group) > _MOST_SHOWN
-        lines += [(group[0], len(group))] if is_long else [(finding, 1) for finding in group]
-    return lines
+        numbers = (_MORE.search(finding.message) for finding in group)
+        others = sum(1 + int(number[1] if number else 0) for number in numbers) - 1
+        folded.append((replace(group[0], message=_MORE.sub("", group[0].message)), others))
+    return folded

@@ -3,13 +3,13 @@
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 from xml.etree import ElementTree
 
@@ -48,10 +48,12 @@ class Checked:
 
     @cached_property
     def failing(self) -> list[Finding]:
-        """Open findings of the level that fails, or above it."""
-        levels = list(Level)
-        failing = levels[: levels.index(self.fail_on) + 1]
-        return [finding for finding in self.open if finding.rule.level in failing]
+        """Open findings of a level that fails."""
+        return [finding for finding in self.open if self.fails(finding.rule.level)]
+
+    def fails(self, level: Level) -> bool:
+        """Whether a level is the one that fails, or above it."""
+        return [*Level].index(level) <= [*Level].index(self.fail_on)
 
     def outcome(self, path: Path, result: Result) -> str:
         """Returns one of `OUTCOMES`, or "accepted"."""
@@ -67,21 +69,35 @@ class Checked:
         return [finding for finding in self.findings if finding.fmu == path]
 
 
-def _counts(checked: Checked) -> dict[str, int]:
-    """Returns level -> number of findings that are not accepted."""
-    counts = Counter(finding.rule.level for finding in checked.open)
+def _counts(findings: Sequence[Finding]) -> dict[str, int]:
+    """Returns level -> number of rules that these findings break, summed over the FMUs."""
+    counts = Counter(level for *_, level in {(f.fmu, f.rule.name, f.rule.level) for f in findings})
     return {level.value: counts[level] for level in Level}
+
+
+def _amounts(counts: Mapping[str, int]) -> str:
+    """Returns numbers of outcomes in words, without those that are 0."""
+    plural = str(Level.ERROR), str(Level.DEVIATION)
+    amounts = (
+        (count, f"{name}s" if name in plural and count > 1 else name) for name, count in counts.items()
+    )
+    return ", ".join(f"{count} {name}" for count, name in amounts if count)
 
 
 def summary(checked: Checked, path: Path) -> str:
     """Returns one line: how many rules passed, and so on."""
     counts = Counter(checked.outcome(path, result) for result in checked.results[path])
-    return ", ".join(f"{counts[name]} {name}" for name in (*OUTCOMES, _ACCEPTED) if counts[name])
+    return _amounts({name: counts[name] for name in (*OUTCOMES, _ACCEPTED)})
+
+
+def failure(checked: Checked) -> str:
+    """Returns how many rules of the levels that fail are broken; "" without one."""
+    return _amounts(_counts(checked.failing))
 
 
 def total(checked: Checked) -> str:
     """Returns one line on all FMUs."""
-    counts = ", ".join(f"{count} {level}" for level, count in _counts(checked).items())
+    counts = _amounts(_counts(checked.open)) or "no finding"
     bad = len({finding.fmu for finding in checked.open if finding.rule.level is Level.ERROR})
     return f"{len(checked.results)} FMUs, {bad} with errors: {counts}"
 
@@ -100,20 +116,45 @@ def not_judged(results: Sequence[Result]) -> str:
 
 
 def lines(checked: Checked, path: Path) -> list[str]:
-    """Returns a line for what was not judged, and one for each finding (level, rule, clause, message)."""
+    """Returns a line for what was not judged, and one for each broken rule (level, rule, clause, message)."""
     results = checked.results[path]
     told = [line] if (line := not_judged(results)) else []
     if not checked.every:
-        return [*told, *(_line(f, count) for f, count in folded(checked.open) if f.fmu == path)]
+        return [*told, *(f"{found.level}: {found.title}: {found.text}" for found in in_short(checked, path))]
     others = [result for result in results if not result.messages]
-    told += [_line(finding, 1) for finding in checked.of(path)]
+    told += [_line(finding) for finding in checked.of(path)]
     return told + [f"{r.outcome}: {_title(r.rule)}: {_reason(r) or r.rule.claim}" for r in others]
 
 
-def _line(finding: Finding, count: int) -> str:
-    more = f" (and {count - 1} more like it, see --all)" if count > 1 else ""
+class InShort(NamedTuple):
+    """The findings of one rule about one FMU, or of all rules of a level, in one line.
+
+    line: in modelDescription.xml, 0 if it is about no element
+    """
+
+    level: Level
+    title: str
+    text: str
+    line: int = 0
+
+
+def in_short(checked: Checked, path: Path) -> Iterator[InShort]:
+    """Yields a line for each broken rule, and one for all rules of a level that does not fail."""
+    of_fmu = [(finding, others) for finding, others in folded(checked.open) if finding.fmu == path]
+    for level in Level:
+        of_level = [(finding, others) for finding, others in of_fmu if finding.rule.level is level]
+        if len(of_level) > 1 and not checked.fails(level):
+            names = ", ".join(finding.rule.name for finding, _ in of_level)
+            yield InShort(level, f"{len(of_level)} rules, see --all", names)
+            continue
+        for finding, others in of_level:
+            more = f" (and {others} more like it)" if others else ""
+            yield InShort(level, _title(finding.rule), finding.text + more, finding.line)
+
+
+def _line(finding: Finding) -> str:
     accepted = f" ({finding.accepted})" if finding.accepted else ""
-    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{more}{accepted}"
+    return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{accepted}"
 
 
 def _title(rule: Rule) -> str:
@@ -140,7 +181,7 @@ def text(checked: Checked) -> str:
 def json_text(checked: Checked) -> str:
     """Returns all results and findings, for programs."""
     document = {
-        "counts": _counts(checked),
+        "counts": _counts(checked.open),
         "fmus": [
             {
                 "fmu": str(path),
@@ -243,8 +284,8 @@ def _case(checked: Checked, path: Path, result: Result, fails: bool) -> ElementT
 
 
 def github(checked: Checked) -> str:
-    """Returns workflow commands of GitHub: an annotation of the FMU for each finding that is not accepted."""
-    commands = [_annotation(finding, count) for finding, count in folded(checked.open)]
+    """Returns workflow commands of GitHub: an annotation of the FMU for each line of `in_short`."""
+    commands = [_annotation(path, found) for path in checked.results for found in in_short(checked, path)]
     skipped = [
         f"::notice file={_property(str(path))},title=not judged::{_data(line)}\n"
         for path, results in checked.results.items()
@@ -253,12 +294,10 @@ def github(checked: Checked) -> str:
     return "".join([*commands, *skipped]) + total(checked) + "\n"
 
 
-def _annotation(finding: Finding, count: int) -> str:
-    command = _GITHUB_COMMANDS[finding.rule.level]
-    line = f",line={finding.line}" if finding.line else ""
-    more = f" (and {count - 1} more like it)" if count > 1 else ""
-    place = f"file={_property(str(finding.fmu))}{line},title={_property(_title(finding.rule))}"
-    return f"::{command} {place}::{_data(finding.text + more)}\n"
+def _annotation(path: Path, found: InShort) -> str:
+    line = f",line={found.line}" if found.line else ""
+    place = f"file={_property(str(path))}{line},title={_property(found.title)}"
+    return f"::{_GITHUB_COMMANDS[found.level]} {place}::{_data(found.text)}\n"
 
 
 def _data(content: str) -> str:

@@ -161,9 +161,12 @@ def library_format(fmu: FmuFile) -> Iterator[str]:
 @rule("advice: behaviour is judged where the library runs", Stage.LIBRARY)
 def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
     """There is a library for the platform of this check, or its behaviour is not judged."""
-    if not fmu.host_library:
-        platforms = ", ".join(sorted(set(fmu.libraries().values()))) or "none"
-        yield f"libraries for {platforms}: without one for {platform_name()} the behaviour is not judged"
+    here = platform_name()
+    there = [path for path in fmu.names if path.startswith(f"binaries/{here}/") and not path.endswith("/")]
+    there_is = ", ".join(there or sorted({*fmu.libraries().values()})) or "none"
+    for kind, stated in fmu.interfaces.items():
+        if not fmu.judged_as(kind).host_library:
+            yield f"{kind}: no library {stated.get('modelIdentifier')} for {here} (there is {there_is})"
 
 
 def _missing_functions(library: Library, fmu: FmuFile) -> str:

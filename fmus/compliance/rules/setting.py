@@ -51,7 +51,7 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     usual = do.begin, do.read_all(), do.run_all(5)
     stops = (
         ((do.step(5),), ""),
-        ((do.step(), do.fail), "an error and "),
+        ((do.step(), do.fail), "fmi2GetReal returned error and "),
         ((do.ignore(do.leap(1)),), "more steps and "),
     )
     for stop, words in stops if len(starts(probe)) > 1 else stops[:2]:
@@ -137,9 +137,9 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         yield _set_and_read(when, *before, do.set_values(taken), *after, *end)
     taken = do.others_accepted(probe, instantiated, do.initialise)
     end = do.exit_initialization_mode, do.read_all(), do.run_all(2)
-    sets, when = do.set_values(taken), "where values were set in initialization mode"
+    sets, when = do.set_values(taken), "where values were set after fmi2EnterInitializationMode"
     varied, usual = (do.initialise, sets, *end), (sets, do.initialise, *end)
-    again = "{}, as if they had been set when instantiated"
+    again = "{}, as where the same values were set before it"
     yield Row(when, varied, usual, tolerance=_ROUNDED, may_fail=True, again=again)
 
 

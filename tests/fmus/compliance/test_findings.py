@@ -159,10 +159,10 @@ def test_what_is_no_baseline_is_refused(text: str, tmp_path: Path) -> None:
 
 def test_many_findings_of_one_rule_about_one_fmu_are_one_with_their_count() -> None:
     many = [finding(f"file {i}", SECOND) for i in range(70)]
-    few = [finding(f"file {i}") for i in range(3)]
-    assert findings.folded([*many, *few]) == [(many[0], 70), *((f, 1) for f in few)]
-    assert findings.folded([*many[:2], *many[2:4]]) == [(many[0], 4)]
-    assert len(findings.folded([*many[:3], finding(rule=SECOND, fmu="b.fmu")])) == 4
+    one, counted = finding("file 1"), finding("x is 3 (and 77 more like it)", FIRST, fmu="b.fmu")
+    alike = finding("y is 3 (and 1 more like it)", FIRST, fmu="b.fmu")
+    assert findings.folded([*many, one]) == [(many[0], 69), (one, 0)]
+    assert findings.folded([counted, alike]) == [(replace(counted, message="x is 3"), 79)]
 
 
 LINES = {"depth": 12, "a[1,2]": 13, "my name": 14, "the": 15}

@@ -1,6 +1,7 @@
 """What the check writes for programs: SARIF, JUnit, annotations of GitHub; and what it explains."""
 
 import json
+import re
 import urllib.parse
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,10 +12,10 @@ import pytest
 
 from fmus.compliance.check import main
 from fmus.compliance.examine import static_results
-from fmus.compliance.findings import findings_of
+from fmus.compliance.findings import Finding, findings_of
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.report import FORMATS, Checked
-from fmus.compliance.rule import OUTCOMES, all_rules
+from fmus.compliance.report import FORMATS, Checked, failure
+from fmus.compliance.rule import OUTCOMES, Level, all_rules
 from tests.described_fmus import XML, members
 from tests.shared_builds import Fmus
 
@@ -127,9 +128,28 @@ def test_annotations_of_github_name_file_and_rule_and_end_with_a_summary(
     assert last.startswith("1 FMUs, 1 with errors: ")
 
 
+def test_broken_rules_are_counted_and_each_that_fails_has_a_line(checked: Checked) -> None:
+    """What does not fail is one line for its level; --all shows each finding."""
+    (path,) = checked.results
+    names = "archive-paths-are-portable", "archive-layout", "reinit-is-of-states"
+    rules = [rule for rule in all_rules() if rule.name in names]
+    assert [rule.level for rule in rules] == ["error", "deviation", "deviation"]
+    found = [Finding(path, rule, f"{i} (and 2 more like it)") for rule in rules for i in range(5)]
+    for fail_on, lines, failing in (("error", 2, "1 error"), ("deviation", 3, "1 error, 2 deviations")):
+        made = replace(checked, findings=found, fail_on=Level(fail_on))
+        assert failure(made) == failing
+        for form in ("text", "github"):
+            shown = FORMATS[form](made)
+            assert len(re.findall(r"^ +(?:error|deviation): |^::(?:error|warning) ", shown, re.M)) == lines
+            assert shown.count("0 (and 14 more like it)") == (1 if fail_on == "error" else 3)
+    assert "--all" not in FORMATS["text"](replace(made, every=True))
+
+
 def test_every_outcome_has_its_place_in_the_summary(document: Callable[[str], str]) -> None:
     first = document("text").splitlines()[0]
-    assert all(part.split(" ", 1)[1] in OUTCOMES for part in first.split("a, b.fmu: ")[1].split(", "))
+    named = re.findall(r"\d+ ([a-z ]+?)s?(?:,|$)", first.split("a, b.fmu: ")[1])
+    assert {*named} <= {*OUTCOMES}
+    assert {"passed", "error", "deviation"} <= {*named}
 
 
 def test_a_format_goes_to_a_file_and_text_is_printed(

@@ -37,8 +37,7 @@ def test_an_fmu_without_a_library_for_this_platform_is_judged_but_for_its_behavi
     warning = results.pop("runs-on-this-platform")
     assert warning.outcome == "advice"
     assert warning.messages == (
-        f"libraries for {', '.join(sorted(OTHERS))}: "
-        f"without one for {host_platform()} the behaviour is not judged",
+        f"CoSimulation: no library {NAME} for {host_platform()} (there is {', '.join(sorted(OTHERS))})",
     )
     behaviour = {name for name, result in results.items() if result.rule.stage == "behaviour"}
     reasons = {results[name].not_judged or results[name].not_applicable for name in behaviour}

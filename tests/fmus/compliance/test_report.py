@@ -261,7 +261,7 @@ def test_errors_come_first_and_a_waiver_without_effect_is_told(
     shown = capsys.readouterr()
     assert re.findall(r"^  (\w+): ", shown.out, re.MULTILINE) == ["error", "deviation"]
     assert "the waiver of schema for *.fmu matches no finding" in shown.err
-    assert "1 error found: expected none" in shown.err
+    assert "1 error: expected none" in shown.err
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
