@@ -201,25 +201,9 @@ def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: floa
     follows_table = logical_and(p.thruster_tabulated, logical_not(p.thruster_ideal))
     factor = where(follows_table, p.thruster_scale[i], p.thruster_gain[i])
     linear = where(p.thruster_ideal, voltage, real)
-    force_or_voltage = where(follows_table, lambda: table_force(p, saturated), linear)
+    points = p.thruster_table_voltage, p.thruster_table_force
+    force_or_voltage = where(follows_table, lambda: interp(saturated, *points), linear)
     return efficiency * factor * force_or_voltage
-
-
-def table_force(p: ThrusterParameters, voltage: float) -> float:
-    """Returns the force of the table at a voltage.
-
-    Parameters
-    ----------
-    p : ThrusterParameters
-    voltage : float
-        Voltage [V].
-
-    Returns
-    -------
-    float
-        Force [N], positive down.
-    """
-    return interp(voltage, p.thruster_table_voltage, p.thruster_table_force)
 
 
 def table_ascends(p: ThrusterParameters) -> tuple:

@@ -120,25 +120,26 @@ _RELATIVE: dict[str, Any] = {"relative": (bool, False), "unit": (str, "")}
 _TRUNCATE: dict[str, Any] = {"truncate": (bool, False)}
 
 
-class ValuesTable(Table):
+class GridTable(Table):
+    """A table of a grid."""
+
+    relative: bool = False
+    """The values are factors of the variable's own value."""
+    unit: str = ""
+    """Unit of the values; by default the unit of the variable."""
+
+
+class ValuesTable(GridTable):
     """A table of the values of a grid."""
 
     values: Annotated[list[Value], Field(min_length=1)]
-    relative: bool = False
-    """The values are factors of the variable's own value."""
-    unit: str = ""
-    """Unit of the values; by default the unit of the variable."""
 
 
-class LinspaceTable(Table):
-    """A table of the equally spaced values of a grid: linspace has the first, the last and their number."""
+class LinspaceTable(GridTable):
+    """A table of the equally spaced values of a grid."""
 
     linspace: Annotated[list[float], Field(min_length=3, max_length=3)]
-    """[first, last, how many]"""
-    relative: bool = False
-    """The values are factors of the variable's own value."""
-    unit: str = ""
-    """Unit of the values; by default the unit of the variable."""
+    """The first value, the last value and their number."""
 
 
 VARIED = OneOf(
