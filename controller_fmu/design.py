@@ -7,9 +7,9 @@ The L1 adaptive controller is stable with any fast adaptation if
 where |.|_L1 is the largest row sum of integrals of |impulse response|, C(s) the low-pass filter and L a
 Lipschitz constant of the uncertainty in |x|_inf. Source: Hovakimyan and Cao (2010).
 
-With the extension u_p = -K (y - r), K = K_P + K_I / s, and the input gain omega the same argument gives
+With the extension u_p = -K_PI (y - r), K_PI = K_P + K_I / s, and the input gain omega the same argument gives
 
-    G(s) = (s I - A_m + omega B_m K C)^-1 B_m (C_omega(s) - 1),   C_omega = omega k D / (1 + omega k D)
+    G(s) = (s I - A_m + omega B_m K_PI c)^-1 B_m (C_omega(s) - 1),   C_omega = omega k D / (1 + omega k D)
 
 which is not in the paper: docs/explanation/margins.md derives it.
 """

@@ -219,8 +219,12 @@ def _lines_of(
             if any(all(map(np.array_equal, signal, other)) for other in drawn):
                 continue
             drawn.append(signal)
-            style = {"color": _COLOURS[len(lines) % len(_COLOURS)], "linestyle": LINES[run % len(LINES)]}
-            style |= {"label": f"{name}, {label}" if label else name, **_weight(name, columns[name])}
+            weight = _weight(name, columns[name])
+            # lines of one run that are as wide differ in dashes, for readers without colours
+            alike = sum(line["linewidth"] == weight["linewidth"] for *_, line in lines)
+            dashes = LINES[(run if beside else alike) % len(LINES)]
+            style = {"color": _COLOURS[len(lines) % len(_COLOURS)], "linestyle": dashes, **weight}
+            style["label"] = f"{name}, {label}" if label else name
             lines.append((*signal, style))
     return lines
 

@@ -114,7 +114,7 @@ def test_the_norm_with_the_extension_is_that_of_scipys_impulse_response(
 ) -> None:
     """G by hand as transfer functions, its impulse response by partial fractions, a quadrature of their sum.
 
-    det(s I - A_x) = s^2 + 1.4 s + 1 + omega K(s); C_omega - 1 = -s / (s + omega w).
+    det(s I - A_x) = s^2 + 1.4 s + 1 + omega K_PI(s); C_omega - 1 = -s / (s + omega w).
     """
     w = 20.0
     norm = design.l1_norm(

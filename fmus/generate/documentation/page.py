@@ -115,7 +115,7 @@ def _source(source: Source) -> str:
 def _exchange(block: Block) -> str:
     # half of them are derivatives
     states = len(block.states) // 2
-    integrated = f"The importer integrates the continuous states, {states} of them."
+    integrated = f"The importer integrates the continuous states ({states})."
     return _EXCHANGE.format(integrated if states else "The importer calls the FMU at its time events.")
 
 
@@ -163,7 +163,7 @@ def _cells(name: str, scalars: list[BlockVariable], reals_only: bool) -> tuple[s
 def _texts(v: BlockVariable, reals_only: bool) -> tuple[str, ...]:
     kind = "whole number" if reals_only else v.type.lower()
     unit = kind if v.unit is None else v.unit
-    number = str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
+    number = str(v.start).lower() if isinstance(v.start, bool) else f"{v.cast(v.start).real:.12g}"
     start, permitted = (number, v.expected.removesuffix(f" {v.unit}")) if v.settable else ("", "")
     return v.description, unit, start, permitted, v.variability, v.source
 

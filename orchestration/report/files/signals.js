@@ -132,12 +132,12 @@ function signalsSection() {
     }
   }
 
-  /** Of one run, a colour for each signal; of several, a colour for each run in every panel and dashes for signals. */
+  /** Of one run, a colour for each signal; of several, for each run. Dashes differ with both, for readers without colours. */
   function style(made, { name, run }) {
     const slot = made.slots.get(name);
-    if (page.runs.length === 1) return { color: colour(slot), dash: dash(Math.floor(slot / 10)) };
+    if (page.runs.length === 1) return { color: colour(slot), dash: dash(slot + Math.floor(slot / 20)) };
     if (run === null) return { color: colour(SHARED), dash: dash(slot) };
-    return { color: colour(colourOfRun(run)), dash: dash(slot + Math.floor(run / 9)) };
+    return { color: colour(colourOfRun(run)), dash: dash(slot + run) };
   }
 
   function drawPanel(unit, found, range, isBeside) {

@@ -14,7 +14,7 @@ function histogramPlace(section, caption) {
 /** Names in the colours of their bars. */
 function swatches(section, names) {
   section.querySelector(".groups").replaceChildren(...names.map((name, i) => {
-    const swatch = element("span", { textContent: "\u25a0 " });
+    const swatch = element("span", { textContent: `${"\u25cf\u25c6\u2715"[i % 3]} ` });
     swatch.style.color = colour(i);
     return element("span", {}, swatch, name);
   }));
@@ -82,7 +82,7 @@ function sweepSection(section, sweep) {
     const names = [x, y].map((all) => (Array.isArray(all) ? [...new Set(all)] : null));
     const at = (all, known, i) => (known ? known.indexOf(all[i]) : all[i]);
     const points = Array.from(samples, (number, i) => ({
-      x: at(x, names[0], i), y: at(y, names[1], i), color: colour(groupOf.get(i) ?? 0), sample: number,
+      x: at(x, names[0], i), y: at(y, names[1], i), color: colour(groupOf.get(i) ?? 0), mark: Object.keys(MARKS)[(groupOf.get(i) ?? 0) % 3], sample: number,
       text: `sample ${number}: ${short(x[i])}, ${short(y[i])}`,
     }));
     const ring = points.filter((point) => point.sample === sample).map((point) => ({ ...point, color: colour(1), size: 8, strong: true }));

@@ -72,7 +72,7 @@ function chart(place, lines, { x = "time [s]", y = "", range, yRange, down = fal
   const css = getComputedStyle(document.documentElement);
   const [ink, line] = ["--ink", "--line"].map((name) => css.getPropertyValue(name).trim());
   const font = `12px ${getComputedStyle(document.body).fontFamily}`;
-  const axis = (label, size, own) => ({ label, stroke: ink, font, labelFont: font, labelSize: 20, size, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 }, ...own });
+  const axis = (label, size, own) => ({ label, stroke: ink, font, labelFont: font, labelSize: 20, size, values: (u, ticks) => ticks.map((tick) => short(tick ?? "")), grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 }, ...own });
   const moves = (type) => type.startsWith("mouse") && !/down|up/.test(type);
   place.chart?.destroy();
   place.chart = new uPlot({

@@ -37,7 +37,7 @@ function scatter(place, points, { x, y, log = false, names = [], line = [], reac
       scales: { x: scale(names[0]), y: scale(names[1]) },
       axes: [{ ...(log ? { filter: someDigits } : {}), ...across(names[0]) }, names[1] ? { splits: () => names[1].map((_, i) => i), values: () => names[1], size: 110 } : log ? { filter: someDigits } : {}],
       cursor: { points: { show: false }, sync: null },
-      hooks: { draw: [(u) => drawn.forEach((point) => mark(u, point))], setCursor: [point] },
+      hooks: { draw: [(u, taken = []) => drawn.forEach((point) => mark(u, point, taken))], setCursor: [point] },
     },
   });
   made.over.append(tip);
@@ -74,7 +74,8 @@ function heat(share) {
   return [`hsl(210 ${Number.isFinite(share) ? 65 : 0}% ${lightness}%)`, lightness > 55 ? "#000000" : "#ffffff"];
 }
 
-function mark(u, { x, y, color, share, mark = "circle", size = 4, strong = false, label = "" }) {
+/** Draws a point, and its label above it, or below it where labels in `taken` are in the way. */
+function mark(u, { x, y, color, share, mark = "circle", size = 4, strong = false, label = "" }, taken) {
   const [across, down, r] = [u.valToPos(x, "x", true), u.valToPos(y, "y", true), size * devicePixelRatio];
   const path = new Path2D();
   MARKS[mark](path, across, down, r, u);
@@ -96,7 +97,13 @@ function mark(u, { x, y, color, share, mark = "circle", size = 4, strong = false
   u.ctx.stroke(path);
   u.ctx.globalAlpha = 1;
   u.ctx.fillStyle = u.axes[0].stroke();
-  u.ctx.fillText(label, across, down - 2 * r);
+  const [half, line] = [u.ctx.measureText(label).width / 2, 14 * devicePixelRatio];
+  const middle = Math.min(across, u.ctx.canvas.width - half);
+  const overlaps = (at) => taken.some((other) => Math.abs(other.middle - middle) < other.half + half && Math.abs(other.at - at) < line);
+  let at = down - 2 * r;
+  if (label && overlaps(at)) for (at = down + 2 * r + line; overlaps(at); ) at += line;
+  if (label) taken.push({ middle, half, at });
+  u.ctx.fillText(label, middle, at);
   u.ctx.restore();
 }
 
@@ -113,10 +120,10 @@ function histogram(place, groups, x = "") {
   const lines = groups.map(({ label, color }, i) => {
     const counts = starts.map(() => 0);
     finite[i].forEach((value) => counts[Math.min(Math.floor((value - least) / width), count - 1)]++);
-    return { label, x: starts, y: counts, color, width: 1, series: { fill: `${color}99`, paths: uPlot.paths.bars({ size: [1, Infinity], align: 1 }) } };
+    return { label, x: starts, y: counts, color, dash: dash(i), width: 1, series: { fill: `${color}99`, paths: uPlot.paths.bars({ size: [1, Infinity], align: 1 }) } };
   });
   chart(place, lines, {
     x, y: "samples",
-    more: { scales: { x: { range: [least, least + count * width] }, y: { range: (u, low, high) => [0, 1.05 * high] } }, axes: [{ space: 30 }, {}], cursor: { sync: null } },
+    more: { scales: { x: { range: [least, least + count * width] }, y: { range: (u, low, high) => [0, 1.05 * high] } }, axes: [{ space: 42 }, {}], cursor: { sync: null } },
   });
 }

@@ -213,7 +213,7 @@ def compare(protocol: Protocol, **options: Any) -> ScoreResult:
 
 def for_page(result: ScoreResult) -> ScoreResult:
     """Returns the result with the gains of each row in its title, for a page that shows all rows together."""
-    endings = {TUNED: "tuned", START: "as it comes"}
+    endings = {TUNED: "tuned", START: "default gains"}
     rows = [
         row.model_copy(update={"title": f"{row.title}, {endings[row.name.partition('/')[0]]}"})
         for row in result.document.rows

@@ -166,12 +166,14 @@ def test_a_run_has_one_colour_in_every_panel(two: OpenedPage) -> None:
         assert len({look[0] for line, look in before.items() if line.endswith(run)}) == 1
     assert len({look[0] for look in before.values()}) == 3  # and one of what both share
     assert before["plant.depth, slow"] != before["plant.reference, all"]
+    assert before["plant.depth, slow"][1] != before["plant.depth, fast"][1]  # for readers without colours
     assert looks(two.tick("slow"))["plant.depth, fast"] == before["plant.depth, fast"]
 
 
-def test_signals_of_one_run_have_different_colours(opened: Open, tmp_path: Path) -> None:
+def test_signals_of_one_run_have_different_colours_and_dashes(opened: Open, tmp_path: Path) -> None:
     write_run(tmp_path, "alone")
-    assert len({look[0] for look in looks(opened(tmp_path)).values()}) == 2
+    for part in (0, 1):
+        assert len({look[part] for look in looks(opened(tmp_path)).values()}) == 2
 
 
 def test_zooming_one_panel_zooms_all(two: OpenedPage) -> None:

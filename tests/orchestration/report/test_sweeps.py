@@ -130,6 +130,18 @@ def test_a_sweep_that_failed_altogether_lists_its_errors(opened: Open, tmp_path:
     assert page.all(".scatter") == []
 
 
+def test_ticks_of_a_narrow_histogram_are_different_numbers(opened: Open, tmp_path: Path) -> None:
+    page = opened(write_sweep(tmp_path))
+    page.run(
+        "const [place] = document.querySelectorAll('.histograms .plot');"
+        "histogram(place, [{label: '', color: '#000000', values: [1.2073, 1.2075, 1.2084]}]);"
+    )
+    page.settled()
+    page.until(lambda: page.run("return document.querySelector('.histograms .plot').chart.axes[0]._values"))
+    ticks = page.run("return document.querySelector('.histograms .plot').chart.axes[0]._values")
+    assert len(ticks) == len(set(ticks)) > 1
+
+
 def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     path = write_sweep(tmp_path)
     read, _ = table.read(path)
@@ -148,8 +160,8 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     )
     assert bars == [names] * len(bars)  # apart, and in colours that the legend names
     assert [" ".join(group.text.split()) for group in page.all(".groups > span")] == [
-        "\u25a0 pi",
-        "\u25a0 none",
+        "\u25cf pi",
+        "\u25c6 none",
     ]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))
@@ -240,8 +252,8 @@ def test_several_sweeps_stand_in_one_table_with_overlaid_histograms_and_paired_d
     captions = [caption.text for caption in page.all("#sweeps-compared .histograms figcaption")]
     assert captions[:2] == ["settling_time [s]", "rmse [cm]"]  # in the order of the table
     assert [" ".join(group.text.split()) for group in page.all("#sweeps-compared .groups > span")] == [
-        "■ base",
-        "■ other",
+        "\u25cf base",
+        "\u25c6 other",
     ]
     page.click(page.all(".paired th button")[4])
     assert page.all(".paired tbody tr")[-1].text.startswith("other rmse")

@@ -11,7 +11,8 @@ const shade = (i) => {
   const at = order.indexOf(names[i]);
   return { color: colour(at), dash: dash(at + Math.floor(at / 20)), width: page.rows[i].scored ? 3 : 1.5 };
 };
-const numbers = async (packed) => (await unpacked(packed)).map((number) => number / page.scale);
+const kept = new Map(); // of numbers: print does not wait for them to be unpacked again
+const numbers = (packed) => kept.get(packed) ?? kept.set(packed, unpacked(packed).then((all) => all.map((number) => number / page.scale))).get(packed);
 const value = (row, name) => row.cases[find("case").value]?.metrics[name] ?? NaN;
 
 find("table").addEventListener("change", () => {

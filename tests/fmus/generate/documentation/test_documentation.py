@@ -72,8 +72,9 @@ def test_the_start_value_of_each_type_can_be_read_back() -> None:
 def test_an_array_is_one_row_with_the_start_value_of_each_element() -> None:
     rows = rows_of("L1DepthController")
     assert rows["thruster_gain[1..2]"][3] == "0.25"
-    assert rows["prediction_error_matrix[1..2,1..2]"][2:4] == ["1/s, 1, 1/s2, 1/s", "-0.1, 0.0, 0.0, -0.1"]
-    assert len(rows["thruster_table_force[1..24]"][3].split(", ")) == 24
+    assert rows["prediction_error_matrix[1..2,1..2]"][2:4] == ["1/s, 1, 1/s2, 1/s", "-0.1, 0, 0, -0.1"]
+    forces = rows["thruster_table_force[1..24]"][3].split(", ")
+    assert (len(forces), forces[3]) == (24, "-30.4986815")  # not -30.498681499999996
 
 
 def test_the_parameters_of_the_advice_stand_first_and_in_its_order() -> None:

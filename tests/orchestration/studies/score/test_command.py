@@ -181,4 +181,4 @@ def test_compare_writes_a_document_and_a_page_of_all_rows(
     page = (tmp_path / written[1]).read_text(encoding="utf-8")
     assert "<h1>Comparison of the controllers</h1>" in page
     assert "L1, tuned</th>" in page
-    assert "L1, as it comes</th>" in page
+    assert "L1, default gains</th>" in page

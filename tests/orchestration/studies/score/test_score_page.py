@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -195,6 +196,35 @@ def test_a_phone_breaks_no_word_of_a_table(opened_score: OpenedPage) -> None:
         "return ['caption', 'table'].map((name) => document.querySelector(name).clientWidth)"
     )
     assert caption == table
+
+
+def test_paper_is_wide_enough_for_every_chart_and_every_word_of_a_heading(opened_score: OpenedPage) -> None:
+    """A browser prints as soon as the handlers of `beforeprint` are done, which wait for no other event."""
+    widths = opened_score.run(
+        "dispatchEvent(new Event('beforeprint'));"
+        "return (async () => {"
+        "  for (let i = 0; i < 1000; i++) await null;"
+        "  return ['depth', 'force', 'pareto'].map((id) => document.getElementById(id).chart.width);"
+        "})()"
+    )
+    assert widths == [660] * 3
+    opened_score.emulate(media="print").at_width(660)
+    assert opened_score.broken_words(".cards thead th") == []
+    opened_score.run("dispatchEvent(new Event('afterprint'))")
+    opened_score.emulate(media="screen")
+
+
+def test_labels_of_points_do_not_overlap(opened_score: OpenedPage) -> None:
+    places = opened_score.run(
+        "const place = document.getElementById('pareto'), shown = [];"
+        "const at = {x: 2, y: 20, color: '#000000', label: 'a long name'};"
+        "const {ctx} = scatter(place, [at, at, at], {x: '', y: ''});"
+        "ctx.fillText = (text, x, y) => text === at.label && shown.push([x, y]);"
+        "place.chart.redraw(); return new Promise((done) => setTimeout(() => done(shown), 100))"
+    )
+    heights = sorted(y for _, y in places)
+    assert len(heights) == 3
+    assert min(b - a for a, b in pairwise(heights)) >= 12  # px of a letter
 
 
 def test_what_failed_is_told_with_its_reason(opened_score: OpenedPage) -> None:
