@@ -32,8 +32,11 @@ ADDITIONS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("settings", [{}, ADDITIONS], ids=["paper", "additions"])
-@pytest.mark.parametrize("name", ["nominal-feedforward", "example-extended"])
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("nominal-feedforward", {}), ("example-extended", ADDITIONS)],
+    ids=["paper", "additions"],
+)
 def test_the_first_second_agrees(
     scenario_fmus: None, python_fmus: None, name: str, settings: dict[str, str]
 ) -> None:

@@ -15,8 +15,7 @@ LARGEST = 1.5  # N, of the disturbance
 H = 1e-3
 
 
-@pytest.mark.parametrize("depth", [0.5, -0.5])
-@pytest.mark.parametrize("kind", ["worst", "best", "sine"])
+@pytest.mark.parametrize(("kind", "depth"), [("worst", 0.5), ("best", -0.5), ("sine", 0.5)])
 def test_the_boundary_layer_is_reached_in_the_time_that_theory_gives(kind: str, depth: float) -> None:
     """M (|s(0)| - phi) / (K - d) s for a d that pushes s away, the longest, or back; it is not left again."""
     p, sign = START, copysign(1.0, depth)

@@ -236,10 +236,6 @@ ENDS_APART = [
     (Misdeed.HANG, "rogue at t = 0.5 s: did not return within 1 s, and its process was ended"),
     (Misdeed.SEGFAULT, "rogue at t = 0.5 s: ended its process with SIGSEGV"),
     ENDS[0],  # what is refused otherwise ends a run in the same way
-    *(
-        pytest.param(*row, marks=pytest.mark.slow)
-        for row in ((Misdeed.ABORT, "rogue at t = 0.5 s: ended its process with SIGABRT"), ENDS[1])
-    ),
 ]
 
 

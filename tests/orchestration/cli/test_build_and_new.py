@@ -108,32 +108,17 @@ def test_broken_blocks_of_another_package_are_listed_and_stop_no_other(
     assert "'Wrong': its entry point no_such_module:BLOCK cannot be loaded" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("bad", "reason"),
-    [
-        ("bad.py", "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'"),
-        pytest.param(
-            "bad.py:Own", "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "DepthReferenc",
-            "no block named 'DepthReferenc'; nearest is 'DepthReference'",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_what_cannot_be_imported_stops_no_other(
-    command: Command, tmp_path: Path, bad: str, reason: str
-) -> None:
+def test_what_cannot_be_imported_stops_no_other(command: Command) -> None:
     command("new", "good")
     Path("bad.py").write_text("import math\nimport nunpy\n")
-    done = command("build", "good.py", bad, "DepthReference", "--flavour", "python", "--out", "out", expect=1)
+    options = ("--flavour", "python", "--out", "out")
+    done = command("build", "good.py", "bad.py", "DepthReference", *options, expect=1)
     assert done.stdout == "out/Good.fmu\nout/DepthReference.fmu\n"
     (line,) = done.stderr.splitlines()
-    assert line.startswith(f"l1-depth: 1 of 3 not built: {bad}: ")
-    assert reason in line
-    alone = command("build", bad, "--flavour", "python", "--out", "out", expect=1)
-    assert alone.stderr == line.replace(f"1 of 3 not built: {bad}: ", "") + "\n"
+    assert line.startswith("l1-depth: 1 of 3 not built: bad.py: ")
+    assert "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'" in line
+    alone = command("build", "bad.py", *options, expect=1)
+    assert alone.stderr == line.replace("1 of 3 not built: bad.py: ", "") + "\n"
 
 
 def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Command, refused: Command) -> None:

@@ -38,14 +38,7 @@ def ended(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return done
 
 
-@pytest.mark.parametrize(
-    ("argument", "unbuffered"),
-    [
-        ("scenarios", ""),
-        ("--version", "1"),
-        *(pytest.param(*row, marks=pytest.mark.slow) for row in (("scenarios", "1"), ("--help", ""))),
-    ],
-)
+@pytest.mark.parametrize(("argument", "unbuffered"), [("scenarios", ""), ("--version", "1")])
 def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, unbuffered: str) -> None:
     """Its status is that of other tools in a shell: 128 + SIGPIPE."""
     reader, output = os.pipe()
@@ -64,14 +57,7 @@ def test_a_command_whose_output_nobody_reads_ends_without_a_word(argument: str, 
     assert (done.returncode, done.stderr) == (141, "")
 
 
-@pytest.mark.parametrize(
-    ("closed", "fmu", "status"),
-    [
-        ("2>&-", "none.fmu", 1),
-        (">&- 2>&-", "a.fmu", 0),
-        pytest.param(">&-", "a.fmu", 0, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("closed", "fmu", "status"), [("2>&-", "none.fmu", 1), (">&- 2>&-", "a.fmu", 0)])
 def test_where_an_output_is_closed_nothing_is_printed(
     tmp_path: Path, closed: str, fmu: str, status: int
 ) -> None:

@@ -124,6 +124,7 @@ def test_the_source_has_the_name_and_the_unit_of_the_input(
         assert (output.name, output.unit) == (source.name, unit)
 
 
+@pytest.mark.slow
 def test_one_point_and_many_points_are_handed_on(
     linear: Build, tmp_path: Path, build_once: BuildSource
 ) -> None:

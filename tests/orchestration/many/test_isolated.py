@@ -90,13 +90,6 @@ def test_the_process_and_its_fmus_stay_from_run_to_sample(runner: Isolated) -> N
     ("misdeed", "error"),
     [
         ("error", "r at t = 0.5 s: fmi2DoStep returned error: the rudder is stuck"),
-        pytest.param(
-            "fatal",
-            "r at t = 0.5 s: fmi2DoStep returned fatal: the hull is breached",
-            marks=pytest.mark.slow,
-        ),
-        ("segfault", "the worker process ended: SIGSEGV"),
-        pytest.param("abort", "the worker process ended: SIGABRT", marks=pytest.mark.slow),
         ("hang", f"it took longer than the timeout of {TIMEOUT_S:g} s"),
     ],
 )

@@ -1,6 +1,6 @@
 """Vehicles with the ranges that they ship with, and their designs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
@@ -8,6 +8,7 @@ import pytest
 
 from orchestration.studies.design.rules import Conditions, L1Design, PidDesign, design_l1, design_pid
 from orchestration.studies.design.vehicle_data import Draws, VehicleData, data_of, draws_of
+from orchestration.studies.margins import linear_margins
 from orchestration.studies.vehicle import Vehicle
 from tests.shared_builds import Fmus
 
@@ -38,6 +39,14 @@ def _built(built: Fmus) -> None:
     """The FMUs of vehicles that are designed for, and of the controllers that are, are built."""
     vehicles = "RovDepthPlant", "RovHeavePitchPlant", "BlueRov2Plant"
     assert all(built[name].is_file() for name in (*vehicles, "L1DepthController", "PidDepthController"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _coarse() -> Iterator[None]:
+    """Margins are sought between an eighth of the frequencies: those of these loops lie far apart."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linear_margins, "_PER_DECADE", 50)
+        yield
 
 
 @pytest.fixture(scope="session")

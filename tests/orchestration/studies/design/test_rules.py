@@ -76,6 +76,14 @@ def test_the_margin_of_the_designed_pid_is_the_one_that_is_stated(pid: PidDesign
     assert pid.phase >= rules.PHASE_MARGIN
 
 
+@pytest.fixture
+def _longer_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A design is searched for in the same range, in steps that are longer."""
+    monkeypatch.setattr(rules, "_RATIO", 2.25)
+    monkeypatch.setattr(rules, "_STEPS", 7)
+
+
+@pytest.mark.usefixtures("_longer_steps")
 def test_a_higher_bandwidth_does_not_leave_the_margin(
     pid: PidDesign, l1: L1Design, data: VehicleData, conditions: Conditions
 ) -> None:
@@ -156,17 +164,14 @@ def test_the_fast_loop_makes_a_quarter_of_a_turn_in_a_sample(l1: L1Design, data:
         pytest.param({"noise": 0.05}, 0.6, TOO_NOISY, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.usefixtures("_longer_steps")
 def test_ranges_for_which_there_is_no_design_are_refused(
-    monkeypatch: pytest.MonkeyPatch,
     data: VehicleData,
     conditions: Conditions,
     changed: dict[str, object],
     bandwidth: float,
     message: str,
 ) -> None:
-    """By a search of the same range in steps that are longer."""
-    monkeypatch.setattr(rules, "_RATIO", 2.25)
-    monkeypatch.setattr(rules, "_STEPS", 7)
     with pytest.raises(OrchestrationError, match=f"^no L1 for RovDepthPlant: {message}"):
         rules.design_l1(replace(data, **changed), conditions, bandwidth)
 

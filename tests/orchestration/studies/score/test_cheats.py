@@ -93,6 +93,7 @@ def small(small_protocol: Callable[..., Path]) -> Protocol:
     return read_protocol(small_protocol())
 
 
+@pytest.mark.slow
 def test_who_differentiates_the_reference_stands_in_one_table_with_who_is_told_its_rates(
     small: Protocol, protocol: Protocol, knowing: Callable[..., Controller]
 ) -> None:

@@ -90,6 +90,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
     return score_plants
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_compiled")
 def test_plants_in_ensembles_have_the_metrics_and_failures_of_single_runs(plants_of: Scored) -> None:
     """Also those that cannot begin or go on, whose reasons are found by a simulator; and after a crash."""
