@@ -218,7 +218,7 @@ def integers(low: int, high: int) -> Distribution:
     Raises
     ------
     ScenarioError
-        For ends that do not ascend.
+        For a least value above the largest.
     """
     _ascending(low, high + 1)
     count = high - low + 1
