@@ -197,12 +197,15 @@ EXAMPLES = [
     path.relative_to(ROOT)
     for package in PRODUCT
     for path in sorted((ROOT / package).rglob("*.py"))
-    # a score takes a minute
-    if ">>> " in path.read_text(encoding="utf-8") and path.name != "score.py"
+    if ">>> " in path.read_text(encoding="utf-8")
 ]
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=str)
+@pytest.mark.parametrize(
+    "path",
+    # a score runs all cases
+    [pytest.param(x, id=str(x), marks=pytest.mark.slow if x.name == "score.py" else []) for x in EXAMPLES],
+)
 def test_the_examples_of_docstrings_run_and_print_what_they_show(path: Path) -> None:
     module = import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
     ran = doctest.testmod(module, extraglobs={"dataclass": dataclass})

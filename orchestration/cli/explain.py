@@ -83,12 +83,12 @@ def _kinds(title: str, node: Node, tables: Node) -> Section:
         first = next((f'`{key} = "{one["const"]}"`' for key, one in names.items() if "const" in one), "")
         arguments = [_argument(key, one, definition) for key, one in names.items() if "const" not in one]
         required_first = ", ".join(sorted(arguments, key=lambda text: not text.startswith("**")))
-        meanings = [
-            f"`{key}`: {_text(one)}"
-            for key, one in names.items()
-            if "description" in one and f"`{key}`" not in _NOTES[title]
-        ]
-        rows.append((first, required_first, " ".join([_text(definition), *meanings])))
+        meanings: dict[str, list[str]] = {}
+        for key, one in names.items():
+            if "description" in one and f"`{key}`" not in _NOTES[title]:
+                meanings.setdefault(_text(one), []).append(f"`{key}`")
+        text = [_text(definition), *(f"{', '.join(keys)}: {text}" for text, keys in meanings.items())]
+        rows.append((first, required_first, " ".join(text)))
     return Section(title, _NOTES[title], ("entry", "arguments", "meaning"), tuple(rows))
 
 

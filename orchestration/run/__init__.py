@@ -55,7 +55,7 @@ def simulate(
     statistics: bool = False,
     **settings: Unpack[ExperimentSettings],
 ) -> Recording:
-    """Runs a system once and frees its FMUs.
+    """Runs a system once and frees its FMUs: `simulate(system, stop_time=10.0, step_size=0.01)`.
 
     Parameters
     ----------
@@ -82,10 +82,6 @@ def simulate(
         Before the run starts, for a system or settings that do not fit.
     SimulationError
         For a run that ends early: its `recording` holds the values until then.
-
-    Examples
-    --------
-    simulate(system, stop_time=10.0, step_size=0.01)
     """
     if not isinstance(system, System):
         raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")

@@ -69,7 +69,26 @@ def _within(quantile: Callable[[np.ndarray], np.ndarray], low: float, high: floa
 
 
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
-    """Returns the normal distribution; std: standard deviation."""
+    """Returns the normal distribution.
+
+    Parameters
+    ----------
+    mean : float
+        Mean before it is truncated.
+    std : float
+        Standard deviation before it is truncated, more than 0.
+    low, high : float
+        Range to which it is truncated.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For a standard deviation that is not above 0, or a range without probability.
+    """
     # SciPy takes longer to import than to draw
     with imports_of("sweep", "a sweep"):
         from scipy.special import ndtr, ndtri
@@ -80,7 +99,26 @@ def normal(mean: float, std: float, low: float = -math.inf, high: float = math.i
 
 
 def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.inf) -> Distribution:
-    """Returns the lognormal distribution; sigma: standard deviation of the natural logarithm."""
+    """Returns the lognormal distribution.
+
+    Parameters
+    ----------
+    median : float
+        Median before it is truncated, more than 0.
+    sigma : float
+        Standard deviation of the natural logarithm, more than 0.
+    low, high : float
+        Range to which it is truncated.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For a median or sigma that is not above 0, or a range without probability.
+    """
     with imports_of("sweep", "a sweep"):
         from scipy.special import ndtr, ndtri
 
@@ -94,13 +132,43 @@ def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.
 
 
 def uniform(low: float, high: float) -> Distribution:
-    """Returns the uniform distribution from low to high."""
+    """Returns the uniform distribution from low to high.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the range.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For ends that do not ascend.
+    """
     _ascending(low, high)
     return _within(lambda q: q * (high - low) + low, low, high)
 
 
 def loguniform(low: float, high: float) -> Distribution:
-    """Returns a distribution that is uniform in the logarithm."""
+    """Returns a distribution that is uniform in the logarithm.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the range, more than 0.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For ends that do not ascend, or are not above 0.
+    """
     _positive("low", low)
     _ascending(low, high)
     first, size = np.log(low), np.log(high) - np.log(low)
@@ -109,7 +177,24 @@ def loguniform(low: float, high: float) -> Distribution:
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
-    """Returns the triangular distribution from low to high, with the most probable value mode."""
+    """Returns the triangular distribution from low to high, with the most probable value mode.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the range.
+    mode : float
+        Most probable value.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For numbers that do not ascend.
+    """
     _ascending(low, high)
     if not low <= mode <= high:
         raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")
@@ -123,19 +208,61 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
 
 
 def integers(low: int, high: int) -> Distribution:
-    """Returns each integer from low to high with equal probability, both included."""
+    """Returns each integer from low to high with equal probability, both included.
+
+    Parameters
+    ----------
+    low, high : int
+        Least and largest value.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For a least value above the largest.
+    """
     _ascending(low, high + 1)
     count = high - low + 1
     return Distribution(lambda uniforms: [low + math.floor(u * count) for u in uniforms], (low, high))
 
 
 def seed(low: int, high: int) -> Distribution:
-    """Returns each integer of the variable's range with equal probability."""
+    """Returns each integer of the variable's range with equal probability.
+
+    Parameters
+    ----------
+    low, high : int
+        Range of the variable.
+
+    Returns
+    -------
+    Distribution
+    """
     return integers(low, high)
 
 
 def choice(values: list[Any], weights: list[float] | None = None) -> Distribution:
-    """Returns one of the values, with probabilities in proportion to the weights; equal ones by default."""
+    """Returns one of the values, with probabilities in proportion to the weights; equal ones by default.
+
+    Parameters
+    ----------
+    values : list
+        Numbers, texts or Booleans.
+    weights : list of float, optional
+        Weight of each value, 0 or more.
+
+    Returns
+    -------
+    Distribution
+
+    Raises
+    ------
+    ScenarioError
+        For no values, or other weights.
+    """
     shares = [1.0] * len(values) if weights is None else weights
     if not values:
         raise ScenarioError("values = []: expected a list of values")

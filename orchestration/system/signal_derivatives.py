@@ -30,7 +30,7 @@ class Derivative(ArraySignal):
     of : str
         Input, "component.variable", that has a signal or a constant value.
     order : {1, 2}
-        Order of the derivative.
+        Order of the derivative, 1 or 2.
 
     Raises
     ------
