@@ -106,9 +106,9 @@ LEVELS = {
     "orchestration.studies.vehicle": 12,
     "orchestration.studies.margins": 13,
     "orchestration.studies.score": 14,
-    "orchestration.studies.design": 15,
-    "orchestration.studies.fit": 15,
-    "orchestration.studies": 16,  # the names that it exports, each imported when it is asked for
+    "orchestration.studies.design": 14,
+    "orchestration.studies.fit": 14,
+    "orchestration.studies": 15,  # the names that it exports, each imported when it is asked for
     "orchestration": 16,
 }
 
