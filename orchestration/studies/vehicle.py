@@ -1,17 +1,20 @@
 """The vehicle of a study: the vehicle of a shipped base, or another in its place."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import TypeAdapter
 
 from fmus.errors import listed, nearest
 from fmus.fmi.description import describe
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
-from orchestration.errors import ScenarioError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators
+from orchestration.scenarios.file_tables import OneOf, Table, checked, table_of
 from orchestration.scenarios.fmu_files import build_missing, fmu_file
 from orchestration.scenarios.layers import components_of, file_layers, named_fmu, shipped_bases
 from orchestration.scenarios.toml_file import TomlFile
@@ -22,6 +25,8 @@ from orchestration.scenarios.vehicle import (
     description_file,
     description_of,
 )
+from orchestration.sweep.distributions import FUNCTIONS, Distribution
+from orchestration.system.quantities import in_unit_of
 
 if TYPE_CHECKING:
     from orchestration.cli.changes import Changes
@@ -31,6 +36,23 @@ PREFIX = f"{PLANT}."
 DEPTH = f"{PREFIX}depth"
 _EXPECTED = "expected an output depth, and an input control_force or inputs voltage[1] and voltage[2]"
 _LISTED = 12  # names in a message
+
+
+def _distribution(**also: Any) -> OneOf:
+    """Returns the tables of a distribution of numbers, by its name, with entries beyond its arguments."""
+    laws = {name: law for name, law in FUNCTIONS.items() if name not in ("seed", "choice")}
+    key = "distribution"
+    return OneOf(key, {name: table_of(key, name, law, also=also) for name, law in laws.items()})
+
+
+DISTRIBUTION, DRAWN = _distribution(), _distribution(variables=(list[str], ...), unit=(str, ""))
+_VARY: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Annotated[Table, DRAWN]])
+
+
+def distribution_of(table: Table) -> Distribution:
+    """Returns the distribution that a table of draws declares."""
+    arguments = {name: value for name, value in table.given().items() if name not in ("variables", "unit")}
+    return FUNCTIONS[arguments.pop("distribution")](**arguments)
 
 
 @cache
@@ -125,6 +147,35 @@ class Vehicle:
         """Returns the values of its parameters; changed: "plant.variable" -> value of a run, over its own."""
         given = {name.removeprefix(PREFIX): value for name, value in {**self.settings, **changed}.items()}
         return VehicleValues(self.file, self.variables, self.mapping, given)
+
+    @cached_property
+    def vary(self) -> dict[str, Any]:
+        """The draws in the description, name -> variables and distribution."""
+        return checked(_VARY, self.file.data.get("vary", {}), lambda keys: self.file.at(("vary", *keys)))
+
+    def law(self, name: str, entry: Any, place: str) -> Distribution:
+        """Returns the distribution of a draw, in the unit of its variables.
+
+        name, entry: of the draw; place: file and line of its unit
+        """
+        if not entry.unit:
+            return distribution_of(entry)
+        names = [self.variable(variable).removeprefix(PREFIX) for variable in entry.variables]
+        try:
+            known = [self.variables[own] for own in names if own in self.variables]
+            changes = {in_unit_of(variable, entry.unit) for variable in known}
+            if len(known) < len(names) or len(changes) > 1:
+                raise SystemDefinitionError("unit: expected variables of the plant, all of one unit")
+        except SystemDefinitionError as error:
+            raise ScenarioError(f"{place}: vary.{name}: {error}") from None
+        return distribution_of(entry).converted(changes.pop())
+
+    def check_names(self, names: Iterable[tuple[str, str]]) -> None:
+        """Refuses variables that the vehicle lacks; names: file and line, "component.variable"."""
+        known = [f"{PREFIX}{variable}" for variable in (*self.variables, *self.mapping)]
+        for place, name in names:
+            if name.startswith(PREFIX) and not self.has(name):
+                raise ScenarioError(f"{place}: no variable {name}; {nearest(name, known)}")
 
     def check(self) -> None:
         """Refuses a vehicle without a depth or without an actuator."""

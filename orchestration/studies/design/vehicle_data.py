@@ -14,7 +14,6 @@ import numpy as np
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import Actuators
-from orchestration.studies.score.protocol import check_vehicle, read_protocol
 from orchestration.studies.vehicle import PREFIX, Vehicle
 from orchestration.sweep.distributions import Distribution
 
@@ -90,11 +89,13 @@ class VehicleData:
 
 def draws_of(vehicle: Vehicle) -> Draws:
     """Returns the draws in the description of a vehicle; ScenarioError for a draw without an end."""
-    protocol = read_protocol(vehicle=vehicle)
-    check_vehicle(protocol)
+    at = vehicle.file.at
+    vehicle.check_names(
+        (at(("vary", name, "variables")), v) for name, entry in vehicle.vary.items() for v in entry.variables
+    )
     draws = dict[tuple[str, ...], Distribution]()
-    for name, entry in protocol.vary.items():
-        distribution = protocol.law(name)
+    for name, entry in vehicle.vary.items():
+        distribution = vehicle.law(name, entry, at(("vary", name, "unit")))
         if not all(map(math.isfinite, distribution.reach)):
             raise ScenarioError(
                 f"{vehicle.file.at(('vary', name))}: vary.{name} has no end: expected low and high"

@@ -14,7 +14,8 @@ import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.scenarios.file_tables import Table
-from orchestration.studies.score.protocol import Case, Protocol, distribution_of, first_target
+from orchestration.studies.score.protocol import Case, Protocol, first_target
+from orchestration.studies.vehicle import distribution_of
 
 LARGEST_SEED = 2147483397  # that a sensor takes
 

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_names
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError
 from orchestration.results import metrics
 from orchestration.scenarios.file_format import METRIC
 from orchestration.scenarios.file_tables import Table, checked
@@ -23,15 +23,13 @@ from orchestration.scenarios.vehicle import SHIPPED, ChangesTable
 from orchestration.studies.score.protocol_format import (
     COMPARED,
     DELAY_MARGIN,
-    DRAWN,
     SIGNALS,
     ControllerTable,
     MetricTable,
     ProtocolFile,
 )
 from orchestration.studies.vehicle import PREFIX, Vehicle
-from orchestration.sweep.distributions import FUNCTIONS, Distribution
-from orchestration.system.quantities import in_unit_of
+from orchestration.sweep.distributions import Distribution
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
@@ -40,7 +38,6 @@ _NAMING = ("parameters", "inputs", "signals", "connections")  # tables whose key
 _OF_A_SCENARIO = {*ChangesTable.model_fields, "components", "connections"}
 _FILE = TypeAdapter(ProtocolFile)
 _METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
-_VARY: TypeAdapter[dict[str, Any]] = TypeAdapter(dict[str, Annotated[Table, DRAWN]])
 
 
 @dataclass(frozen=True)
@@ -206,39 +203,21 @@ class Protocol:
         )
         return case.with_seed(self.tables.practice_seeds[0])
 
-    @cached_property
+    @property
     def vary(self) -> Mapping[str, Any]:
         """The draws of a plant, name -> variables and distribution: the protocol's, or the vehicle's."""
-        file = self.vehicle.file
-        own = checked(_VARY, file.data.get("vary", {}), lambda keys: file.at(("vary", *keys)))
-        return self.tables.plants.vary or own
+        return self.tables.plants.vary or self.vehicle.vary
 
     def law(self, name: str) -> Distribution:
         """Returns the distribution of a draw, in the unit of its variables."""
-        entry = self.vary[name]
-        if not entry.unit:
-            return distribution_of(entry)
-        check_vehicle(self)
-        names = [self.vehicle.variable(variable).removeprefix(PREFIX) for variable in entry.variables]
-        try:
-            known = [self.vehicle.variables[own] for own in names if own in self.vehicle.variables]
-            changes = {in_unit_of(variable, entry.unit) for variable in known}
-            if len(known) < len(names) or len(changes) > 1:
-                raise SystemDefinitionError("unit: expected variables of the plant, all of one unit")
-        except SystemDefinitionError as error:
-            raise ScenarioError(f"{self.at_draw(name, 'unit')}: vary.{name}: {error}") from None
-        return distribution_of(entry).converted(changes.pop())
+        if self.vary[name].unit:
+            check_vehicle(self)
+        return self.vehicle.law(name, self.vary[name], self.at_draw(name, "unit"))
 
     def at_draw(self, name: str, key: str) -> str:
         """Returns the file and the line of a key of a draw."""
         keys = "vary", name, key
         return self.file.at(("plants", *keys)) if self.tables.plants.vary else self.vehicle.file.at(keys)
-
-
-def distribution_of(table: Table) -> Distribution:
-    """Returns the distribution that a table of draws declares."""
-    arguments = {name: value for name, value in table.given().items() if name not in ("variables", "unit")}
-    return FUNCTIONS[arguments.pop("distribution")](**arguments)
 
 
 def metric_of(table: MetricTable, case: Case) -> dict[str, Any]:
@@ -320,10 +299,7 @@ def check_vehicle(protocol: Protocol) -> None:
     names += [
         (protocol.at_draw(n, "variables"), name) for n, x in protocol.vary.items() for name in x.variables
     ]
-    known = [f"{PREFIX}{variable}" for variable in (*vehicle.variables, *vehicle.mapping)]
-    for place, name in names:
-        if name.startswith(PREFIX) and not vehicle.has(name):
-            raise ScenarioError(f"{place}: no variable {name}; {nearest(name, known)}")
+    vehicle.check_names(names)
 
 
 def _names(tables: ProtocolFile, ours: Vehicle) -> Iterator[tuple[KeyPath, str, Collection[str]]]:

@@ -6,9 +6,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from orchestration.scenarios.file_format import Pair, Source
-from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
+from orchestration.scenarios.file_tables import Table, Value
 from orchestration.scenarios.vehicle import ChangesTable
-from orchestration.sweep.distributions import FUNCTIONS
+from orchestration.studies.vehicle import DISTRIBUTION, DRAWN
 
 SIGNALS = {"depth": "m", "reference": "m", "u": "N", "voltage": "V", "power": "V2", "saturated": "%"}
 """What metrics are computed of -> its unit."""
@@ -95,24 +95,14 @@ class CostTable(Table):
     """If not 0: the cost is of so many practice plants in place of the cases, CVaR over them."""
 
 
-def _distribution(**also: Any) -> OneOf:
-    """Returns the tables of a distribution of numbers, by its name, with entries beyond its arguments."""
-    laws = {name: law for name, law in FUNCTIONS.items() if name not in ("seed", "choice")}
-    key = "distribution"
-    return OneOf(key, {name: table_of(key, name, law, also=also) for name, law in laws.items()})
-
-
-_DISTRIBUTION, DRAWN = _distribution(), _distribution(variables=(list[str], ...), unit=(str, ""))
-
-
 class TrajectoryTable(Table):
     """The reference of a plant: from the surface to one depth after another."""
 
-    ways: Annotated[Table, _DISTRIBUTION]
+    ways: Annotated[Table, DISTRIBUTION]
     """How long the way to a depth takes [s]."""
-    holds: Annotated[Table, _DISTRIBUTION]
+    holds: Annotated[Table, DISTRIBUTION]
     """How long a depth is held [s]; the last until the run ends."""
-    depths: Annotated[list[Annotated[Table, _DISTRIBUTION]], Field(min_length=1)]
+    depths: Annotated[list[Annotated[Table, DISTRIBUTION]], Field(min_length=1)]
     """The depths [m]."""
 
 
