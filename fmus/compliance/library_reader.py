@@ -1,6 +1,6 @@
 """Reader of shared libraries of Linux, Windows and macOS, without loading them: ELF, PE and Mach-O.
 
-A damaged library is none. Each loop ends: a library may be made to attack its reader.
+A damaged library counts as no library. Each loop ends: a library may be made to attack its reader.
 """
 
 import struct
