@@ -7,6 +7,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,8 @@ def pytest_configure(config: pytest.Config) -> None:
     hundreds of processes would compile every file anew.
     """
     gc.set_threshold(100_000)  # of Python's 700, an eighth of the time of some tests
+    # functions of a block, which tests build in several flavours
+    builder.reference_run, builder.icon = cache(builder.reference_run), cache(builder.icon)
     is_worker = hasattr(config, "workerinput")
     _ignore_no_signal(is_worker)
     if is_worker:
@@ -77,9 +80,9 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small, and processors are taken
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(cache / "zig"))
-    os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(caches / "zig"))
+    os.environ.setdefault("MPLCONFIGDIR", str(caches / "matplotlib"))
     home = config.stash[_HOME] = tempfile.mkdtemp(prefix="l1-depth-tests-")
     os.environ["HOME"] = home
     for name in ("CACHE", "CONFIG", "DATA", "STATE"):

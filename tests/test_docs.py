@@ -55,23 +55,27 @@ def _anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=_name)
-def test_every_link_leads_to_a_file_and_a_heading(page: Path) -> None:
-    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
-        if link.startswith("http"):
-            continue
+def test_every_link_leads_to_a_file_and_a_heading() -> None:
+    links = [
+        (page, link)
+        for page in TEXTS
+        for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+        if not link.startswith("http")
+    ]
+    assert links
+    for page, link in links:
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
         if not MADE_WITH_THE_SITE.match(target.relative_to(ROOT).as_posix()):
-            assert target.exists(), link
-            assert not anchor or anchor in _anchors(target), link
+            assert target.exists(), (page, link)
+            assert not anchor or anchor in _anchors(target), (page, link)
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=_name)
-def test_every_file_named_exists(page: Path) -> None:
+def test_every_file_named_exists() -> None:
     top = "fmus|controller_fmu|plant_fmu|orchestration|tests|docs|\\.ci"
-    named = re.findall(rf"`((?:{top})/[\w./-]*)`", page.read_text(encoding="utf-8"))
-    assert not [path for path in named if not (ROOT / path).exists()]
+    for page in TEXTS:
+        named = re.findall(rf"`((?:{top})/[\w./-]*)`", page.read_text(encoding="utf-8"))
+        assert not [path for path in named if not (ROOT / path).exists()], page
 
 
 def test_the_picture_of_the_packages_shows_every_room() -> None:
@@ -104,13 +108,13 @@ FRONT_DOOR = {
 }
 
 
-@pytest.mark.parametrize("page", [*TEXTS, *SCRIPTS], ids=_name)
-def test_what_users_import_stands_in_few_modules(page: Path) -> None:
+def test_what_users_import_stands_in_few_modules() -> None:
     """The others may move. `from fmus import numerics` is the one import from `fmus` itself."""
-    text = page.read_text(encoding="utf-8")
-    lines = re.findall(r"^\s*(?:from|import) ((?:fmus|orchestration)[\w.]*)(?: import (.*))?", text, re.M)
-    assert {module for module, _ in lines} <= FRONT_DOOR
-    assert {names for module, names in lines if module == "fmus"} <= {"numerics"}
+    for page in (*TEXTS, *SCRIPTS):
+        text = page.read_text(encoding="utf-8")
+        lines = re.findall(r"^\s*(?:from|import) ((?:fmus|orchestration)[\w.]*)(?: import (.*))?", text, re.M)
+        assert {module for module, _ in lines} <= FRONT_DOOR, page
+        assert {names for module, names in lines if module == "fmus"} <= {"numerics"}, page
 
 
 PRODUCT = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
@@ -292,17 +296,18 @@ def test_the_workflow_shown_runs_what_the_page_runs() -> None:
     assert set(commands) <= ran
 
 
-@pytest.mark.parametrize("page", TEXTS, ids=_name)
-def test_every_command_shown_exists(page: Path) -> None:
-    shown = re.findall(r"(?:^ {4}|^|`)l1-depth (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE)
-    assert set(shown) <= {info.callback.__name__ for info in app.registered_commands if info.callback}
+def test_every_command_shown_exists() -> None:
+    commands = {info.callback.__name__ for info in app.registered_commands if info.callback}
+    for page in TEXTS:
+        text = page.read_text(encoding="utf-8")
+        assert set(re.findall(r"(?:^ {4}|^|`)l1-depth (\w+)", text, re.MULTILINE)) <= commands, page
 
 
-@pytest.mark.parametrize("page", [*PAGES, *ROOMS], ids=_name)
-def test_sentences_and_cells_are_short(page: Path) -> None:
-    text = own_text(page)
-    assert not long_sentences(text)
-    assert not long_cells(text)
+def test_sentences_and_cells_are_short() -> None:
+    for page in (*PAGES, *ROOMS):
+        text = own_text(page)
+        assert not long_sentences(text), page
+        assert not long_cells(text), page
 
 
 def words(pages: Sequence[Path]) -> int:

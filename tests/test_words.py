@@ -31,7 +31,6 @@ DIALECT = re.compile(
     r"|\bno (\w+ ){1,4}but\b|\blets (\w+ ){1,4}be\b",
     re.IGNORECASE,
 )
-KEPT: dict[str, dict[str, str]] = {}  # file of the product -> words with a phrase -> why they stay
 
 
 def documented(tree: ast.AST) -> Iterator[tuple[str, str, bool]]:
@@ -68,16 +67,10 @@ def test_a_function_without_a_verb_breaks_the_rule(text: str) -> None:
     assert not keeps_the_rule("Of a column.", begins_with_verb=False)
 
 
-def phrases(texts: Iterable[str], kept: Iterable[str] = ()) -> list[str]:
-    """Returns each phrase of the dialect with the words around it, and each of `kept` that no text has.
-
-    kept: words with a phrase of the dialect that stay
-    """
-    texts = list(texts)
+def phrases(texts: Iterable[str]) -> list[str]:
+    """Returns each phrase of the dialect with the words around it."""
     found = [(text, match) for text in texts for match in DIALECT.finditer(text)]
-    around = [text[max(0, match.start() - 40) : match.end() + 40] for text, match in found]
-    refused = [one for one in around if not any(words in one for words in kept)]
-    return refused + [words for words in kept if not any(words in text for text in texts)]
+    return [text[max(0, match.start() - 40) : match.end() + 40] for text, match in found]
 
 
 def written(path: Path) -> Iterator[str]:
@@ -95,7 +88,7 @@ def written(path: Path) -> Iterator[str]:
 
 
 def test_a_file_of_the_product_has_no_phrase_of_the_dialect() -> None:
-    found = {path: phrases(written(path), KEPT.get(path.as_posix(), {})) for path in FILES}
+    found = {path: phrases(written(path)) for path in FILES}
     assert not {path: refused for path, refused in found.items() if refused}
 
 
@@ -124,11 +117,6 @@ def test_a_phrase_of_the_dialect_is_found(text: str) -> None:
 
 def test_plain_sentences_and_headings_have_no_phrase_of_the_dialect() -> None:
     assert not phrases(["## What is inside", "The table shows what is inside.", "No error, but a warning."])
-
-
-def test_words_that_stay_are_no_finding_and_have_to_be_there() -> None:
-    assert not phrases(["It begins as of FMI 2.0.2."], ["as of FMI 2.0.2"])
-    assert phrases(["It begins in FMI 2.0.2."], ["as of FMI 2.0.2"]) == ["as of FMI 2.0.2"]
 
 
 def test_a_sentence_that_goes_on_in_the_next_comment_is_read_as_one(tmp_path: Path) -> None:

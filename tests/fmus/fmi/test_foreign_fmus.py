@@ -36,27 +36,11 @@ def findings(path: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "options",
-    [
-        EVERYTHING,
-        TWO_BY_TWO | {"passes_discrete": True},
-        {},
-        {"varies_step_size": False},
-    ],
-)
-def test_linear_fmus_break_no_rule(linear: Build, options: dict[str, Any]) -> None:
-    assert findings(linear(**options)) == {}
-
-
-@pytest.mark.slow
-def test_functions_and_rogues_that_do_nothing_wrong_break_no_rule(function: Build, rogue: Build) -> None:
-    assert findings(function("cos(u)")) == findings(rogue(saves_state=True)) == {}
-
-
-@pytest.mark.slow
-def test_a_stair_breaks_no_rule(stair: Build) -> None:
-    assert findings(stair(saves_state=True)) == {}
+def test_they_break_no_rule(linear: Build, function: Build, rogue: Build, stair: Build) -> None:
+    lags = EVERYTHING, TWO_BY_TWO | {"passes_discrete": True}, {}, {"varies_step_size": False}
+    able = (rogue(saves_state=True), stair(saves_state=True), function("cos(u)"))
+    for path in (*(linear(**options) for options in lags), *able):
+        assert findings(path) == {}, path
 
 
 def test_misdeeds_have_the_same_numbers_in_c() -> None:

@@ -75,6 +75,7 @@ def test_states_and_their_derivatives_are_variables(exchange: Exchange) -> None:
     assert list(fmu.indicators) == [1.0, -2.0]
 
 
+@pytest.mark.slow
 def test_a_tool_finds_nothing_in_an_fmu_with_discrete_reals(small_built: Fmus) -> None:
     assert validate_fmu(str(small_built["Tank"])) == []
     assert [r.messages for r in examine(small_built["Tank"]) if r.messages] == []

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 from pythonfmu.builder import FmuBuilder
 
@@ -46,24 +45,6 @@ def test_it_is_the_same_run(linear: Build, temporary: Path) -> None:
     assert progress[-1] == (100, 100)
     assert all(done < total == 100 for done, total in progress[:-1])
     assert not list(temporary.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("misdeed", "words"),
-    [
-        (Misdeed.HANG, r"did not return within 1 s, and its process was ended"),
-        (Misdeed.SEGFAULT, r"ended its process with SIGSEGV"),
-    ],
-)
-def test_the_record_until_then_is_kept(
-    linear: Build, rogue: Build, temporary: Path, misdeed: Misdeed, words: str
-) -> None:
-    before, system = set(psutil.Process().children(recursive=True)), pair(linear, rogue)
-    with pytest.raises(SimulationError, match=rf"rogue at t = 0.5 s: {words}") as caught:
-        simulate(system, doing(misdeed), timeout=1.0)
-    assert_same_bits(caught.value.recording, simulate(system, doing(Misdeed.NONE)), 6)
-    assert not list(temporary.iterdir())
-    assert set(psutil.Process().children(recursive=True)) <= before
 
 
 @pytest.mark.parametrize(

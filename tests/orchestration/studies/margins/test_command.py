@@ -55,6 +55,7 @@ def test_every_figure_has_its_unit_its_assumption_and_its_source(
         assert below.count(text) == 1
 
 
+@pytest.mark.slow
 def test_theory_alone_takes_no_runs_of_other_delays(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
