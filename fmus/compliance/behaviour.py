@@ -28,7 +28,7 @@ from fmus.compliance.rule import (
     without_folders,
 )
 from fmus.compliance.script import KINDS, CallError, DefectError
-from fmus.errors import HostError
+from fmus.errors import HostError, MissingExtraError
 from fmus.files import extract_archive
 from fmus.fmi.binding import platform_name
 from fmus.fmi.process import ProcessEndedError
@@ -64,7 +64,7 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
         messages = rule.check(subject) or ()
         messages = messages_of(counted(messages) if isinstance(subject, Probe) else messages)
         return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
-    except (TimeoutError, ProcessEndedError):
+    except (TimeoutError, ProcessEndedError, MissingExtraError):
         raise
     except (NotJudgedError, DefectError) as reason:
         return Result(rule, not_judged=without_folders(str(reason)))
@@ -84,7 +84,8 @@ def behaviour(
     """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
     timeout: seconds for one rule
-    of_libraries: the results of the rules of libraries; asked for when a process of the FMU has ended
+    of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
+    process of the FMU has ended
     names: of the rules that are judged, with those that they need; all by default. Broken ones of
     `OF_INSTANCES` are yielded too
     """

@@ -66,6 +66,7 @@ def check(
     """
     from fmus.compliance import findings, report
     from fmus.compliance.behaviour import host_errors
+    from fmus.compliance.library_reader import check_lief
     from fmus.compliance.rule import all_rules
     from fmus.compliance.sentences import rule_table
     from fmus.errors import HostError, OrchestrationError
@@ -76,6 +77,7 @@ def check(
         if rule:
             print(report.explain(rule, all_rules()), end="")
             return
+        check_lief()
         chosen = _chosen(only, names)
         paths = list(dict.fromkeys(fmus or []))
         outputs = {"--out": out, "--baseline": baseline if write_baseline else None}
@@ -155,13 +157,17 @@ def _judged(
 ) -> dict[Path, list[Result]]:
     """Returns the results of each FMU, of the rules of these names."""
     from fmus.compliance.examine import examine
+    from fmus.compliance.library_reader import close_reader
 
     results = dict[Path, list[Result]]()
     gc.set_threshold(ALLOCATIONS)
-    with _progress(quiet, len(fmus)) as show:
-        for number, path in enumerate(fmus, 1):
-            show(f"check {number} of {len(fmus)}: {path.name}")
-            results[path] = examine(path, timeout, names)
+    try:
+        with _progress(quiet, len(fmus)) as show:
+            for number, path in enumerate(fmus, 1):
+                show(f"check {number} of {len(fmus)}: {path.name}")
+                results[path] = examine(path, timeout, names)
+    finally:
+        close_reader()
     return results
 
 

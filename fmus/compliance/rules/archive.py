@@ -1,4 +1,4 @@
-"""Rules of the zip archive and of the shared libraries in it: FMI 2.0.5, 2.3."""
+"""Rules of the zip archive and of the shared libraries in it, which LIEF reads: FMI 2.0.5, 2.3."""
 
 import posixpath
 import re
@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 
 from fmus.compliance.fmu_file import DESCRIPTION, FmuFile
-from fmus.compliance.library_reader import Library, no_library, read_libraries
+from fmus.compliance.library_reader import Library, no_library, start_reading
 from fmus.compliance.rows import add_rows, anything, row
-from fmus.compliance.rule import Stage, repeated, rule
+from fmus.compliance.rule import IS_BROKEN, NotJudgedError, Stage, repeated, rule
 from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, platform_name, signatures
 
 CLAUSE = "2.3 FMU Distribution"
@@ -133,16 +133,25 @@ _TYPES = {"CoSimulation": CO_SIMULATION, "ModelExchange": MODEL_EXCHANGE}
 
 
 def _libraries(fmu: FmuFile) -> Sequence[Library]:
-    """Returns every library of a platform that can be read."""
-    return [library for library in read_libraries(fmu) if PLATFORM.fullmatch(fmu.libraries()[library.path])]
+    """Returns every library of a platform that LIEF can read. Raises NotJudgedError if it crashes or hangs on
+    one.
+    """
+    libraries, failure = start_reading(fmu).result
+    if failure:
+        raise NotJudgedError(f"library-format{IS_BROKEN}")
+    return [library for library in libraries if PLATFORM.fullmatch(fmu.libraries()[library.path])]
 
 
 @rule("2.3", Stage.LIBRARY, condition=no_library)
 def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
+    libraries, failure = start_reading(fmu).result
+    if failure:
+        yield failure
+        return
     for path, folder in fmu.libraries().items():
         expected = _MACHINES.get(folder)
-        got = [library.machine for library in read_libraries(fmu) if library.path == path]
+        got = [library.machine for library in libraries if library.path == path]
         if not got and expected:
             yield f"{path} is not a shared library: expected one for {folder}"
         elif expected and expected not in got:
