@@ -38,7 +38,7 @@ class Shared:
     refusals: replies that were not ok to calls with logging, one of each function and status, with and
       without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
     log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
-    seed: of the random traces
+    seed: of the random traces; cases: message -> row with its usual run and the others, which show it
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
     """
@@ -49,6 +49,7 @@ class Shared:
     refusals: dict[tuple[str, int, bool], Reply] = field(default_factory=dict[tuple[str, int, bool], Reply])
     log: dict[Message, None] = field(default_factory=dict[Message, None])
     seed: int = 1
+    cases: dict[str, tuple[Any, Script, Sequence[Script]]] = field(default_factory=dict[str, Any])
     refused_steps: str = ""
     discards: str = ""
 
