@@ -359,11 +359,10 @@ class _Judge:
         """Adds the shortest calls that show findings to their results."""
         cases = {message: case for shared in self._shared.values() for message, case in shared.cases.items()}
         for result in [result for result in self.results.values() if result.messages]:
-            pairs = [
-                (text, m) for text in result.messages for m in cases if text.startswith(messages_of([m])[0])
-            ]
-            shown = {text: one for text, m in pairs[:1] if (one := self._shown(m, cases[m]))}
-            self.results[result.rule.name] = replace(result, shown=shown)
+            first, *_ = result.messages
+            known = next((m for m in cases if first.startswith(messages_of([m])[0])), None)
+            if known and (calls := self._shown(known, cases[known])):
+                self.results[result.rule.name] = replace(result, shown={first: calls})
 
     def _shown(self, message: str, parts: tuple[Any, Script, Sequence[Script]]) -> Shown | None:
         """Returns the calls that show a message, if they do so in a new process."""
@@ -372,7 +371,7 @@ class _Judge:
         try:
             case = case_of(probe, *parts, message)
             trace = shrunk(probe, case) if case else None
-        except (TimeoutError, ProcessEndedError, CallError, NotJudgedError):
+        except (TimeoutError, ProcessEndedError, CallError, DefectError, NotJudgedError):
             return None
         finally:
             probe.process.close()

@@ -8,7 +8,7 @@ from typing import Any
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import STEPS, USUAL_NAME, CallError, Reply, Script
+from fmus.compliance.script import STEPS, USUAL_NAME, CallError, DefectError, Reply, Script
 
 CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"
 _MOST_TRIALS = 120  # of one finding
@@ -271,7 +271,7 @@ def _shows(probe: Probe, case: Case, kept: Kept) -> bool:
         return False
     try:
         _play(probe, case, scripts)
-    except (NotJudgedError, CallError):
+    except (NotJudgedError, CallError, DefectError):
         return False
     replies = [scripts[number].replies[list(kept[number]).index(i)] for number, i in case.places]
     others = [

@@ -56,7 +56,7 @@ def test_a_seed_gives_the_same_traces_again_and_another_gives_others(tmp_path: P
     fmu = _mutant("reset keeps parameters", tmp_path)
     first, again, other = (_traces(fmu, seed, tmp_path / str(i)) for i, seed in enumerate((1, 1, 2)))
     assert repr(first) == repr(again) != repr(other)
-    assert [len(trace.legs) for trace in first] == [8, 8, 8]
+    assert [len(trace.legs) for trace in first] == [7, 7, 7, 7]
 
 
 @pytest.mark.parametrize("name", SHORTEST)
