@@ -12,7 +12,6 @@ from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.traces import paths
 from fmus.compliance.traces.generator import excited
-from fmus.compliance.variable import is_true
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
@@ -140,12 +139,10 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
         yield Row("", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
     for run in excited(probe):
         yield _set_and_read("in a run", *run.initialised, do.excite(run.sets, do.read_as))
-    if probe.fmu.is_model_exchange:
-        chosen = [v for v in chosen if is_true(v.attributes.get(paths.MANY_SETS, "true"))]
+    yield from paths.rows(probe, paths.set_twice)
     near = do.others_accepted(probe, chosen, do.begin, do.step())
-    starts = do.set_values(values.start_values(v for v, _ in near))
-    first = do.start, do.set_values(near), do.step(), starts, do.set_values(near), do.step()
-    yield _set_and_read("twice at a communication point", *first, do.read_as(near))
+    first = do.start, do.set_values(near), do.step()
+    yield _set_and_read("at a communication point", *first, do.read_as(near))
     if probe.fmu.is_model_exchange:
         near = [(v, x) for v, x in near if v in values.continuous_reals(probe, "input")]
         sets = (do.set_values([(v, values.start_value(v)), (v, x)]) for v, x in near)
@@ -236,7 +233,6 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     if not chosen:
         raise NotApplicableError("there is neither an input nor a tunable parameter")
     yield from paths.rows(probe, paths.set_again)
-    yield from paths.rows(probe, paths.set_twice)
 
 
 @behaviour_rule("2.2.7, 3.1")
