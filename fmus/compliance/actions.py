@@ -15,7 +15,7 @@ from fmus.fmi.binding import ERROR
 MOST_VARIABLES = 50  # that are changed in a rule
 _MOST_LEAPT, LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
-_LONGEST_RUN_S = 0.3  # of CPU time
+_LONGEST_RUN_S = 0.2  # of CPU time
 P = ParamSpec("P")
 Pair = tuple[Variable, Any]
 

@@ -27,6 +27,11 @@ def _kind(function: str) -> tuple[bool, bool]:
     return function.startswith(_RETURN_ARRAYS), function.startswith(_CHANGES_OF_STATE)
 
 
+@cache
+def _announcement(function: str, after: str) -> bytes:
+    return f"{function}(...){after}".encode()
+
+
 def _overwrite(buffers: Sequence[Any]) -> None:
     """Overwrites strings that were arguments of a call: the FMU may no longer read them."""
     for buffer in buffers:
@@ -66,7 +71,7 @@ class CalledInstance(parts.StateSlots):
 
     def __init__(
         self, library: binding.Library, memory: CountingAllocator, settings: ProcessSettings,
-        options: dict[str, Any], announce: Callable[[str], None],
+        options: dict[str, Any], announce: Callable[[bytes], None],
     ) -> None:  # fmt: skip
         self._options, self._settings, self._announce = options, settings, announce
         self.function = self.mode = ""
@@ -116,10 +121,10 @@ class CalledInstance(parts.StateSlots):
         """Announces a call, with the function that brought the instance where it is, and its callbacks."""
         # a solver makes most calls, and its vectors show little
         if function in _OF_SOLVERS:
-            self._announce(f"{function}(...){self._after}")
+            self._announce(_announcement(function, self._after))
             return
         shown = [show(argument) for argument in arguments if (show := parts.shower(type(argument)))]
-        self._announce(f"{function}({str(shown)[1:-1]}){self._after}")
+        self._announce(f"{function}({str(shown)[1:-1]}){self._after}".encode())
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes a fault of the FMU, if there is one, for `changed_settings`."""

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
-from fmus.compliance.script import USUAL_NAME, Action, CallError, Message, Reply, Script
+from fmus.compliance.script import USUAL_NAME, Action, CallError, Groups, Message, Reply, Script, grouped
 from fmus.compliance.variable import Variable, number
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD
@@ -235,6 +235,11 @@ class Probe:
     def point(self, i: float) -> float:
         """Returns the time of communication point number i [s]."""
         return self.start_time + i * self.step_size
+
+    @cached_property
+    def groups(self) -> Groups:
+        """All variables by type."""
+        return grouped(self.fmu.variables)
 
     @cached_property
     def outputs(self) -> list[Variable]:

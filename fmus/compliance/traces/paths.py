@@ -1,6 +1,7 @@
 """Paths that must agree: the same trace in other ways, each a row of the rule whose sentence it breaks."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -14,14 +15,15 @@ from fmus.compliance.traces.table import TABLES
 from fmus.compliance.variable import is_true
 
 MANY_SETS = "canHandleMultipleSetPerTimeInstant"
+_JUDGED = 2  # traces of each path
 _SLOT, _COPY = 0, 1  # of saved states
 _SUMMED = 1e-3  # relative: some dozen steps of a solver that begins elsewhere sum up their errors
 Path = Callable[[Probe, Trace, Trace], Iterator[Row]]
 
 
 def rows(probe: Probe, path: Path) -> Iterator[Row]:
-    """Yields the rows of a path, given each random trace and another one."""
-    some = traces(probe)
+    """Yields the rows of a path, given each of the last random traces, which vary most, and another one."""
+    some = traces(probe)[-_JUDGED:]
     for trace, other in zip(some, [*some[1:], *some[:1]], strict=True):
         yield from path(probe, trace, other)
 
@@ -30,9 +32,12 @@ def _row(when: str, trace: Trace, varied: Sequence[Action], tolerance: float = 0
     return Row(when, tuple(varied), trace.whole(), tolerance=tolerance, **more)
 
 
-def again(_: Probe, trace: Trace, __: Trace) -> Iterator[Row]:
-    """Yields the same run, with logging."""
-    yield _row("with logging", trace, trace.whole(), options={"watched": True})
+def with_options(when: str, options: Mapping[str, Any], _: Probe, trace: Trace, __: Trace) -> Iterator[Row]:
+    """Yields the same run of an instance with logging and some options."""
+    yield _row(when, trace, trace.whole(), _SUMMED, options=options)
+
+
+again = partial(with_options, "with logging", {"watched": True})
 
 
 def asked(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
