@@ -29,7 +29,15 @@ SHORTEST = {
         "fmi2ExitInitializationMode()",
         "fmi2GetReal(gain) is 2.02",
         "fmi2FreeInstance()",
-    ]
+    ],
+    "a second state crashes": [
+        "fmi2Instantiate('instance', loggingOn = fmi2True)",
+        "fmi2SetupExperiment(0, 0, 1.5, 0, 0)",
+        "fmi2EnterInitializationMode()",
+        "fmi2ExitInitializationMode()",
+        "fmi2GetFMUstate(state 0)",
+        "fmi2GetFMUstate(state 1)",
+    ],
 }
 
 
