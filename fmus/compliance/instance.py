@@ -31,7 +31,7 @@ CALLED = "called"  # a file of the working folder: when the call that is under w
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OWN = "observed_events", "cpu_time"  # which call nothing
+_OWN = "observed_events", "cpu_time", "recorded_calls"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
     DISCARD: (*_OWN, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
     ERROR: (*_OWN, "free_state", "fmi2SetDebugLogging"),
@@ -91,15 +91,15 @@ class LoadedFmu:
         return self._resources.as_uri()
 
     def free_of_null(self) -> None:
-        self._announce("fmi2FreeInstance(NULL)")
+        self._announce(b"fmi2FreeInstance(NULL)")
         self._library.fmi2FreeInstance(None)
 
-    def _announce(self, call: str) -> None:
+    def _announce(self, call: bytes) -> None:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
-        content = call.encode()[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
+        content = call[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
         self._announced[BEGAN.size : BEGAN.size + len(content)] = content
         # a pending step is one call, however often its status is asked for
-        if not call.startswith("fmi2GetStatus("):
+        if not call.startswith(b"fmi2GetStatus("):
             BEGAN.pack_into(self._announced, 0, time.time())
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:

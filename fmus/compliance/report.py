@@ -120,22 +120,25 @@ def lines(checked: Checked, path: Path) -> list[str]:
     results = checked.results[path]
     told = [line] if (line := not_judged(results)) else []
     if not checked.every:
-        return [*told, *(f"{found.level}: {found.title}: {found.text}" for found in in_short(checked, path))]
+        for short in in_short(checked, path):
+            told += [f"{short.level}: {short.title}: {short.text}", *short.calls]
+        return told
     others = [result for result in results if not result.messages]
-    told += [_line(finding) for finding in checked.of(path)]
+    told += [line for finding in checked.of(path) for line in (_line(finding), *_calls(finding))]
     return told + [f"{r.outcome}: {_title(r.rule)}: {_reason(r) or r.rule.claim}" for r in others]
 
 
 class InShort(NamedTuple):
     """The findings of one rule about one FMU, or of all rules of a level, in one line.
 
-    line: in modelDescription.xml, 0 if it is about no element
+    line: in modelDescription.xml, 0 if it is about no element; calls: that show it, a line each
     """
 
     level: Level
     title: str
     text: str
     line: int = 0
+    calls: Sequence[str] = ()
 
 
 def in_short(checked: Checked, path: Path) -> Iterator[InShort]:
@@ -149,12 +152,17 @@ def in_short(checked: Checked, path: Path) -> Iterator[InShort]:
             continue
         for finding, others in of_level:
             more = f" (and {others} more like it)" if others else ""
-            yield InShort(level, _title(finding.rule), finding.text + more, finding.line)
+            yield InShort(level, _title(finding.rule), finding.text + more, finding.line, _calls(finding))
 
 
 def _line(finding: Finding) -> str:
     accepted = f" ({finding.accepted})" if finding.accepted else ""
     return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{accepted}"
+
+
+def _calls(finding: Finding) -> list[str]:
+    """Returns the calls that show a finding, indented."""
+    return [f"    {call}" for call in finding.shown.calls]
 
 
 def _title(rule: Rule) -> str:
@@ -204,7 +212,8 @@ def _rule(checked: Checked, path: Path, result: Result) -> dict[str, Any]:
 
 def _finding(finding: Finding) -> dict[str, Any]:
     level, names = finding.rule.level.value, ("message", "line", "maker", "accepted")
-    return {"rule": finding.rule.name, "level": level, **{name: getattr(finding, name) for name in names}}
+    of_finding = {name: getattr(finding, name) for name in names}
+    return {"rule": finding.rule.name, "level": level, **of_finding, "calls": [*finding.shown.calls]}
 
 
 def sarif(checked: Checked) -> str:

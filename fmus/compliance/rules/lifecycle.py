@@ -14,6 +14,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import DiscardedStepError, Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reply, Script
+from fmus.compliance.traces import paths
 from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, MODEL_EXCHANGE
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
@@ -174,13 +175,7 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     """Instances share no state: setting and reading values, steps and the end of one change nothing in
     another. An error of another rule that a new process does not show is a finding of this rule.
     """
-    changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
-    moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
-    usual, another = (do.start, do.run(5)), (changed[0], *moved)
-    # once it is created last, once it begins last
-    for beside in ((changed, another, usual), (usual, another)):
-        varied = do.start, do.run(2), do.pause, do.run(3)
-        yield Row("beside another instance", varied, usual, beside=beside)
+    yield from paths.rows(probe, paths.beside)
     modes = [((do.initialise,), values.settable_in_initialization, values.readable_in_initialization)]
     if probe.fmu.is_model_exchange:
         modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))

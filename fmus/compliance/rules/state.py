@@ -9,6 +9,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, ROUNDING, Row, differenc
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
+from fmus.compliance.traces import paths
 
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _KEPT_ADDRESSES = 8  # of blocks of one size, for reuse: glibc keeps 7 of a thread
@@ -119,6 +120,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     varied = *moving, do.save(), *back, do.restore(), *end
     when = "from a state that was set back"
     yield Row(when, varied, (*moving, *end), tolerance=OF_EXPERIMENT, may_fail=True)
+    yield from paths.rows(probe, paths.restored)
 
 
 @behaviour_rule("2.1.8", condition=_serialises)
@@ -158,7 +160,8 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     again = do.copy(0, 1), do.free_state(), do.step(), do.restore(1), do.read_all(), do.run_all(3)
     first = do.start, do.step(2), do.save(), do.restore()
     varied = *first, do.expect(do.read_all(), do.run_all(3)), *again
-    messages = [*differences(probe, [*rows, Row("from bytes", varied, (), tolerance=OF_EXPERIMENT)])]
+    rows += [Row("from bytes", varied, (), tolerance=OF_EXPERIMENT), *paths.rows(probe, paths.from_bytes)]
+    messages = [*differences(probe, rows)]
     if messages and serialised[0].value != serialised[-1].value:
         yield (
             "fmi2SerializeFMUstate gives other bytes of a saved state after three steps than before them: "
@@ -185,14 +188,4 @@ def flag_keeps_the_states_of_the_present(_: Probe) -> Iterator[Row]:
 @differential("2.1.7")
 def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
-    outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
-    saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
-    asked: list[do.Action] = [do.glance(probe.fmu.variables)]
-    if outputs and probe.fmu.output_derivative_order:
-        asked.append(do.call("output_derivatives", outputs, 1))
-    if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
-        asked.append(do.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs)))
-    varied = do.start, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
-    when = "where values and derivatives are read more often"
-    usual = do.start, *(do.set_derivatives(), do.run_all(1)) * 4
-    yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)
+    yield from paths.rows(probe, paths.asked)
