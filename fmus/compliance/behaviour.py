@@ -171,7 +171,8 @@ def obstacle(fmu: FmuFile) -> str:
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return "the FMU cannot be read"
     no_library = "" if fmu.host_library else f"no library for {platform_name()}"
-    return fmu.other_version or no_library
+    of_fmi3 = "FMI 3.0: behaviour not judged" if fmu.is_fmi3 else ""
+    return fmu.other_version or of_fmi3 or no_library
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:

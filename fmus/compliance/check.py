@@ -57,7 +57,7 @@ def check(
         typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
     ] = "",
 ) -> None:
-    """Check FMUs against the rules of FMI 2.0.5, or the description of FMI 3.0 by its schema and FMPy.
+    """Check FMUs against the rules of FMI 2.0.5 and FMI 3.0.2.
 
     Exit status: 0; 1 for errors; 2 for wrong use or a missing file; 3 if this machine allows no verdict;
     4 with --strict, if a rule is not judged.
