@@ -76,7 +76,7 @@ def _steps_of_leap(probe: Probe, is_whole: bool = False) -> int:
     return third if is_whole else min(third, most)
 
 
-def _leap_to(script: Script, end: int) -> None:
+def _leap_to(script: Script, end: float) -> None:
     """Goes to a communication point: by usual steps, or by a rough one for model exchange."""
     if not script.probe.fmu.is_model_exchange:
         script.write([go_on(end - script.next_step)])
@@ -119,8 +119,20 @@ def step(script: Script, count: int = 1, no_going_back: bool = False) -> None:
         script.next_step += 1
 
 
+def count_from(number: float) -> Action:
+    """Makes a communication point the present one, which the experiment was set up to start at."""
+    return lambda script: setattr(script, "next_step", number)
+
+
 @_action
-def go_on(script: Script, count: int, observed: Sequence[tuple[str, list[int]]] = ()) -> None:
+def advance(script: Script, size: float = 1.0) -> None:
+    """Adds a step, in step sizes of the default experiment, from where the script is."""
+    script.call("do_step", script.time, size * script.probe.step_size)
+    script.next_step += size
+
+
+@_action
+def go_on(script: Script, count: float, observed: Sequence[tuple[str, list[int]]] = ()) -> None:
     """Adds steps of the default experiment's size in one call; the first failed step is the last one.
 
     observed: see `CalledInstance.do_steps`
@@ -158,9 +170,10 @@ def read_bytes(script: Script, source: Script) -> None:
 
 
 @_action
-def set_up(script: Script, stop: int, tolerance: float | None = None, start: int = 0) -> None:
-    """Sets the experiment up, from communication point number `start` to number `stop`."""
-    script.call("set_up_experiment", script.probe.point(start), script.probe.point(stop), tolerance)
+def set_up(script: Script, stop: int | None, tolerance: float | None = None, start: int = 0) -> None:
+    """Sets the experiment up, from communication point number `start` to number `stop`, if one is defined."""
+    end = None if stop is None else script.probe.point(stop)
+    script.call("set_up_experiment", script.probe.point(start), end, tolerance)
 
 
 def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
@@ -189,6 +202,11 @@ def read(variables: Iterable[Variable], when: str = "", where: str = "") -> Acti
 
 def read_all(when: str = "", where: str = "") -> Action:
     return lambda script: script.observed.append((when, where, script.read_everything()))
+
+
+def read_readable(script: Script) -> None:
+    """Reads the variables that initialization mode allows to be read."""
+    script.write([read(values.readable_in_initialization(script.probe.fmu))])
 
 
 def glance_all(script: Script) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
@@ -21,13 +22,17 @@ from fmus.compliance.rule import (
     NotJudgedError,
     Result,
     Rule,
+    Shown,
     Stage,
     defect,
     messages_of,
     registered,
     without_folders,
 )
-from fmus.compliance.script import KINDS, CallError, DefectError
+from fmus.compliance.script import KINDS, CallError, DefectError, Script
+from fmus.compliance.traces.cases import case_of
+from fmus.compliance.traces.programs import shown
+from fmus.compliance.traces.shrink import shrunk
 from fmus.errors import HostError, MissingExtraError
 from fmus.files import extract_archive
 from fmus.fmi.binding import platform_name
@@ -40,7 +45,7 @@ FUNDAMENTAL = (
 """Rules without which no behaviour is judged: further findings would have the same cause."""
 ENDED = "the FMU ended the process with"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
-DEFAULT_TIMEOUT_S = 30.0
+DEFAULT_TIMEOUT_S, DEFAULT_SEED = 30.0, 1
 _RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
@@ -79,7 +84,7 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
 
 def behaviour(
     fmu: FmuFile, timeout: float = DEFAULT_TIMEOUT_S, of_libraries: Callable[[], Sequence[Result]] = tuple,
-    names: Collection[str] | None = None,
+    names: Collection[str] | None = None, seed: int = DEFAULT_SEED,
 ) -> Iterator[Result]:  # fmt: skip
     """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
@@ -88,10 +93,11 @@ def behaviour(
     process of the FMU has ended
     names: of the rules that are judged, with those that they need; all by default. Broken ones of
     `OF_INSTANCES` are yielded too
+    seed: of the random traces
     """
     rules = [rule for rule in registered(Stage.BEHAVIOUR) if names is None or rule.name in names]
     halves = {
-        interface: _of_interface(fmu.judged_as(interface), rules, timeout, of_libraries)
+        interface: _of_interface(fmu.judged_as(interface), rules, timeout, of_libraries, seed)
         for interface in fmu.interfaces or [CO_SIMULATION]
     }
     for rule in registered(Stage.BEHAVIOUR):
@@ -101,13 +107,17 @@ def behaviour(
 
 
 def _of_interface(
-    fmu: FmuFile, chosen: Sequence[Rule], timeout: float, of_libraries: Callable[[], Sequence[Result]]
+    fmu: FmuFile,
+    chosen: Sequence[Rule],
+    timeout: float,
+    of_libraries: Callable[[], Sequence[Result]],
+    seed: int,
 ) -> dict[str, Result]:
     """Returns rule name -> result for the interface of the FMU that is judged."""
     reason = obstacle(fmu) or _unreadable_variable(fmu)
     results: dict[str, Result] = {}
     if chosen and not reason:
-        judge = _Judge(fmu, timeout, of_libraries)
+        judge = _Judge(fmu, timeout, of_libraries, seed)
         judge.judge(chosen)
         results, reason = judge.results, judge.broken_library()
     return {rule.name: Result(rule, not_judged=reason) for rule in chosen} if reason else results
@@ -128,10 +138,11 @@ def _joined(rule: Rule, halves: Mapping[str, Result]) -> Result:
         halves = {interface: replace(halves[interface], rule=rule)}
     if list(halves) == [CO_SIMULATION]:
         return halves[CO_SIMULATION]
-    messages = [f"{_NAMES[kind]}: {m}" for kind, result in halves.items() for m in result.messages]
+    pairs = [(f"{_NAMES[kind]}: {m}", r.shown.get(m)) for kind, r in halves.items() for m in r.messages]
+    messages, shown = [message for message, _ in pairs], {message: one for message, one in pairs if one}
     reasons = dict.fromkeys(result.not_judged for result in halves.values() if result.not_judged)
     if messages or reasons:
-        return Result(rule, tuple(messages), not_judged="" if messages else "; ".join(reasons))
+        return Result(rule, tuple(messages), not_judged="" if messages else "; ".join(reasons), shown=shown)
     if rule.interface in halves:
         return halves[rule.interface]
     return min(halves.values(), key=lambda result: bool(result.not_applicable))
@@ -187,11 +198,15 @@ class _Judge:
     results: rule name -> result
     """
 
-    def __init__(self, fmu: FmuFile, timeout: float, of_libraries: Callable[[], Sequence[Result]]) -> None:
+    def __init__(
+        self, fmu: FmuFile, timeout: float, of_libraries: Callable[[], Sequence[Result]], seed: int
+    ) -> None:
         self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
         self._folder = Path()
         self._is_alone = False  # whether each instance has its own process from now on
-        self._shared = {False: Shared(), True: Shared()}  # by whether instances are alone
+        self._shared = {
+            is_alone: Shared(seed=seed) for is_alone in (False, True)
+        }  # by whether instances are alone
         self._applicable = dict[str, Rule]()
         self._vanished = dict[str, list[Result]]()  # rule about instances -> errors that are its own
         self.results: dict[str, Result] = {}
@@ -228,6 +243,7 @@ class _Judge:
                 if self.broken_library():
                     return
                 self._judge_formats_after_a_crash(remaining)
+            self._show_calls()
 
     def _unpack(self) -> str:
         """Unpacks the FMU; returns the reason why it cannot be unpacked. `archive-is-zip` reports more."""
@@ -339,6 +355,29 @@ class _Judge:
             self.results[_FORMATS] = result
             last = Result(last.rule, not_judged=f"{_FORMATS}{IS_BROKEN}")
         self.results[last.rule.name] = last
+
+    def _show_calls(self) -> None:
+        """Adds the shortest calls that show findings to their results."""
+        cases = {message: case for shared in self._shared.values() for message, case in shared.cases.items()}
+        for result in [result for result in self.results.values() if result.messages]:
+            pairs = [
+                (text, m) for text in result.messages for m in cases if text.startswith(messages_of([m])[0])
+            ]
+            shown = {text: one for text, m in pairs[:1] if (one := self._shown(m, cases[m]))}
+            self.results[result.rule.name] = replace(result, shown=shown)
+
+    def _shown(self, message: str, parts: tuple[Any, Script, Sequence[Script]]) -> Shown | None:
+        """Returns the calls that show a message, if they do so in a new process."""
+        probe = Probe(self._fmu, self._folder, Shared(), self._is_alone)
+        probe.process.allow(START_S + self._timeout)
+        try:
+            case = case_of(probe, *parts, message)
+            trace = shrunk(probe, case) if case else None
+        except (TimeoutError, ProcessEndedError, CallError, NotJudgedError):
+            return None
+        finally:
+            probe.process.close()
+        return shown(trace, self._fmu, message) if trace else None
 
     def _lack_of_time(self) -> str:
         """Returns the reason why the rest is not judged: it would take too long."""

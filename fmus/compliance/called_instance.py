@@ -55,6 +55,7 @@ class CalledInstance(parts.StateSlots):
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
       interface: fmi2Type, by default the interface of this class
       watched: whether settings of the process are compared before and after each call
+      recorded: whether all calls are kept for `recorded_calls`
     announce: gets each call before it is made, as a text
     function, mode: the latest that was called, and the latest that changed the state
     """
@@ -71,6 +72,7 @@ class CalledInstance(parts.StateSlots):
         self._noted = set[tuple[str, str, str]]()
         self._kept: list[Any] = []
         self.watched = bool(options.get("watched"))
+        self._calls: list[list[Any]] | None = [] if options.get("recorded") else None
         kind = options.get("callbacks", "usual")
         self._after = self._callbacks = f" (callbacks: {kind})" if "callbacks" in options else ""
         log = parts.MessageLog(settings, self._noted)
@@ -128,7 +130,11 @@ class CalledInstance(parts.StateSlots):
         if is_result:
             arrays = arrays[:-1]
         before = [bytes(array) for array in arrays]
+        given = [] if self._calls is None else [parts.plain(x, self._pointers) for x in arguments]
         super().call(function, *arguments)
+        if self._calls is not None:
+            given = parts.with_results(given, arguments) if is_result else given
+            self._calls.append([function, given, self.last_status])
         if changes_state and 0 <= self.last_status <= binding.WARNING:
             self.mode = function
             self._after = f" after {function}{self._callbacks}"
@@ -213,6 +219,10 @@ class CalledInstance(parts.StateSlots):
                 if value > extreme[2]:
                     extreme[2:] = value, t
         return extremes if observed else ""
+
+    def recorded_calls(self) -> list[list[Any]]:
+        """Returns function, arguments as `plain` has them, and status of each call until now."""
+        return self._calls or []
 
     def cpu_time(self) -> float:
         """Returns the CPU time of this process [s], which does not depend on the load of the machine."""

@@ -50,6 +50,11 @@ def check(
     ] = False,
     fail_on: Annotated[Level, typer.Option(help="Fail for findings of this level and above.")] = Level.ERROR,
     strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
+    reproduce: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write programs of C and FMPy that show findings of behaviour."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the random runs of the FMU.")] = 1,
     timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a rule [s].")] = 30.0,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
     rule: Annotated[
@@ -87,7 +92,7 @@ def check(
         known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
         off = [] if chosen else rule_table()["off"]
         shown = chosen or [name for name in names if name not in off]
-        results = _judged(paths, shown, timeout, quiet)
+        results = _judged(paths, shown, timeout, quiet, seed)
         found, today = findings.findings_of(results), date.today()
         left = findings.without_known(findings.waived(found, permitted, today), known)
         checked = report.Checked(results, left, fail_on, off, every)
@@ -97,6 +102,10 @@ def check(
             _tell(f"{baseline}: {gone} findings are no longer found: --write-baseline leaves them out")
         with host_errors():
             _print(checked, format_name, out)
+            if any(finding.shown.calls for finding in left):
+                _tell(f"the seed of the random runs was {seed}")
+            if reproduce:
+                _write_programs(checked, reproduce)
             if baseline and write_baseline:
                 write_text_atomically(baseline, findings.baseline_text(left))
                 _tell(f"{baseline}: written, with {len(checked.open)} findings")
@@ -153,7 +162,7 @@ def _refuse_outputs(outputs: Mapping[str, Path | None], inputs: Sequence[Path | 
 
 
 def _judged(
-    fmus: Sequence[Path], names: Collection[str], timeout: float, quiet: bool
+    fmus: Sequence[Path], names: Collection[str], timeout: float, quiet: bool, seed: int
 ) -> dict[Path, list[Result]]:
     """Returns the results of each FMU, of the rules of these names."""
     from fmus.compliance.examine import examine
@@ -165,7 +174,7 @@ def _judged(
         with _progress(quiet, len(fmus)) as show:
             for number, path in enumerate(fmus, 1):
                 show(f"check {number} of {len(fmus)}: {path.name}")
-                results[path] = examine(path, timeout, names)
+                results[path] = examine(path, timeout, names, seed)
     finally:
         close_reader()
     return results
@@ -199,6 +208,18 @@ def _print(checked: "Checked", format_name: str, out: Path | None) -> None:
     print(shown.encode(encoding, "backslashreplace").decode(encoding), end="")
     if out is not None:
         write_bytes_atomically(out, document.encode("utf-8", "backslashreplace"))
+
+
+def _write_programs(checked: "Checked", folder: Path) -> None:
+    """Writes a program of each language for each finding whose calls are known."""
+    from fmus.files import write_text_atomically
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for finding in checked.findings:
+        for suffix, program in finding.shown.programs.items():
+            path = folder / f"{finding.fmu.stem}-{finding.rule.name}.{suffix}"
+            write_text_atomically(path, program)
+            _tell(f"{path}: written")
 
 
 def _status(checked: "Checked", strict: bool) -> int:

@@ -93,7 +93,9 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
             first_idle = sorted(plays, key=lambda play: bool(play.calls))
             probe.play(*first_idle, keep_going=True)
         try:
-            yield from verdict(probe, row, usual, plays)
+            for message in verdict(probe, row, usual, plays):
+                probe.shared.cases[message] = row, usual, plays
+                yield message
         except NotJudgedError as reason:
             reasons.append(reason)
     if reasons and len(reasons) == count:

@@ -5,7 +5,14 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, FUNDAMENTAL, OF_INSTANCES, behaviour, judged
+from fmus.compliance.behaviour import (
+    DEFAULT_SEED,
+    DEFAULT_TIMEOUT_S,
+    FUNDAMENTAL,
+    OF_INSTANCES,
+    behaviour,
+    judged,
+)
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
 from fmus.compliance.rule import Result, Stage, of_version, registered
@@ -15,7 +22,10 @@ _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
 
 
 def examine(
-    path: Path, timeout: float = DEFAULT_TIMEOUT_S, names: Collection[str] | None = None
+    path: Path,
+    timeout: float = DEFAULT_TIMEOUT_S,
+    names: Collection[str] | None = None,
+    seed: int = DEFAULT_SEED,
 ) -> list[Result]:
     """Returns one result for every rule, in the order of `all_rules`.
 
@@ -29,6 +39,8 @@ def examine(
         Longest time [s] of one rule of behaviour, and of LIEF for one library.
     names
         Names of the rules to be judged, by default all.
+    seed
+        Seed of the random traces of calls.
 
     Returns
     -------
@@ -55,7 +67,7 @@ def examine(
                 start_reading(fmu, timeout)
         of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
         of_libraries = cache(lambda: list(static_results(fmu, (Stage.LIBRARY,), None if runs else names)))
-        of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names))
+        of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names, seed))
     except BaseException:
         # nobody will receive its answers
         close_reader()

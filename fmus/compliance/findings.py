@@ -11,10 +11,11 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Result, Rule, Stage
+from fmus.compliance.rule import Level, Result, Rule, Shown, Stage
 from fmus.compliance.sentences import rule_table
 from fmus.errors import nearest
 
+NOTHING_SHOWN = Shown()
 IN_BASELINE = "in the baseline"
 _MOST_SHOWN = 3  # messages of one rule about one FMU; more are one line
 _PYTHONFMU = "pythonfmu/__init__.py"
@@ -44,6 +45,7 @@ def counted(messages: Iterable[str]) -> Iterator[str]:
 class Finding:
     """One message of a rule about one FMU.
 
+    shown: calls that show it, if they are known
     line: in modelDescription.xml, 0 if it is about no element; maker: the library whose finding it is, if it
     is not the model's; accepted: why it does not count, if so
     """
@@ -54,6 +56,7 @@ class Finding:
     line: int = 0
     maker: str = ""
     accepted: str = ""
+    shown: Shown = NOTHING_SHOWN
 
     @property
     def text(self) -> str:
@@ -75,7 +78,8 @@ def findings_of(results: Mapping[Path, Sequence[Result]]) -> list[Finding]:
             in_archive = result.rule.stage in (Stage.FILE, Stage.LIBRARY)
             for message in result.messages:
                 line = 0 if in_archive else line_of(message, lines)
-                findings.append(Finding(path, result.rule, message, line, maker))
+                shown = result.shown.get(message, NOTHING_SHOWN)
+                findings.append(Finding(path, result.rule, message, line, maker, shown=shown))
     return findings
 
 

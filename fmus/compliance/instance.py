@@ -31,7 +31,7 @@ CALLED = "called"  # a file of the working folder: when the call that is under w
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = 400  # bytes of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OWN = "observed_events", "cpu_time"  # which call nothing
+_OWN = "observed_events", "cpu_time", "recorded_calls"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
     DISCARD: (*_OWN, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
     ERROR: (*_OWN, "free_state", "fmi2SetDebugLogging"),

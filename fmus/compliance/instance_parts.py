@@ -1,7 +1,7 @@
 """Parts of an instance under examination: its callbacks, which are observed, and its saved states."""
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -68,6 +68,40 @@ def shower(kind: type) -> Callable[[Any], Any] | None:
     return lambda argument: ... if is_text else argument[:_MOST_SHOWN]
 
 
+def plain(argument: Any, pointers: dict[int, ctypes.c_void_p]) -> Any:
+    """Returns an argument of a call as plain data: a number; [type, elements] of an array; ["state", slot]
+    of a saved state, and ["state&", slot] of its address; ["address", type] of another result.
+
+    pointers: slot -> saved state
+    """
+    if isinstance(argument, ctypes.Array):
+        kind = argument._type_
+        if kind is ctypes.c_char:
+            return ["bytes", argument.raw.hex()]
+        elements = argument[:]
+        if kind is ctypes.c_char_p:
+            elements = [(x or b"").decode("utf-8", "replace") for x in elements]
+        return [kind.__name__, elements]
+    target = getattr(argument, "_obj", argument)
+    if isinstance(target, ctypes.c_void_p):
+        slot = next((slot for slot, pointer in pointers.items() if pointer is target), -1)
+        return ["state" if target is argument else "state&", slot]
+    return argument if target is argument else ["address", type(target).__name__]
+
+
+def with_results(given: list[Any], arguments: Sequence[Any]) -> list[Any]:
+    """Returns the plain arguments of a call, with the elements of its array of results as they are after it.
+
+    The last array holds the results, and perhaps one element that guards its end.
+    """
+    place = max((i for i, x in enumerate(arguments) if isinstance(x, ctypes.Array)), default=None)
+    if place is None or given[place][0] == "bytes":
+        return given
+    kind, elements = plain(arguments[place], {})
+    is_guarded = len(elements) not in [x for x in arguments if isinstance(x, int)]
+    return [*given[:place], [kind, elements[:-1] if is_guarded else elements], *given[place + 1 :]]
+
+
 def array_of(values: list[Any], strings: list[Any]) -> Any:
     """Returns an array of texts, Reals, or whole numbers with or without a sign; NULL without elements.
 
@@ -109,8 +143,9 @@ class StateSlots(BoundInstance):
 
     def free_state(self, slot: int) -> bool:
         """Frees a saved state, or an empty slot; returns whether the FMU left NULL."""
-        pointer = self._pointers.pop(slot, ctypes.c_void_p())
+        pointer = self._pointers.setdefault(slot, ctypes.c_void_p())
         self.call("fmi2FreeFMUstate", ctypes.byref(pointer))
+        del self._pointers[slot]
         return not pointer.value
 
     def state_size(self, slot: int) -> int:
@@ -133,7 +168,8 @@ class StateSlots(BoundInstance):
     def state_of_bytes(self, slot: int, content: str) -> bool:
         """Makes a saved state of bytes, which are overwritten after the call."""
         data = bytes.fromhex(content)
-        buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
+        buffer = ctypes.create_string_buffer(data, len(data))
+        pointer = self._pointers[slot] = ctypes.c_void_p()
         self.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
         ctypes.memset(buffer, ord("#"), len(data))
         self._pointers[slot] = pointer if self.last_status in (OK, WARNING) else ctypes.c_void_p()

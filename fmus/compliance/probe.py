@@ -38,6 +38,7 @@ class Shared:
     refusals: replies that were not ok to calls with logging, one of each function and status, with and
       without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
     log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
+    seed: of the random traces; cases: message -> row with its usual run and the others, which show it
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
     """
@@ -47,6 +48,8 @@ class Shared:
     failing: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
     refusals: dict[tuple[str, int, bool], Reply] = field(default_factory=dict[tuple[str, int, bool], Reply])
     log: dict[Message, None] = field(default_factory=dict[Message, None])
+    seed: int = 1
+    cases: dict[str, tuple[Any, Script, Sequence[Script]]] = field(default_factory=dict[str, Any])
     refused_steps: str = ""
     discards: str = ""
 
@@ -229,7 +232,7 @@ class Probe:
             raise results[key]
         return results[key]
 
-    def point(self, i: int) -> float:
+    def point(self, i: float) -> float:
         """Returns the time of communication point number i [s]."""
         return self.start_time + i * self.step_size
 

@@ -104,9 +104,10 @@ def lines(checked: Checked, path: Path) -> list[str]:
     results = checked.results[path]
     told = [line] if (line := not_judged(results)) else []
     if not checked.every:
-        return [*told, *(_line(f, count) for f, count in folded(checked.open) if f.fmu == path)]
+        shown = (pair for pair in folded(checked.open) if pair[0].fmu == path)
+        return [*told, *(line for f, count in shown for line in (_line(f, count), *_calls(f)))]
     others = [result for result in results if not result.messages]
-    told += [_line(finding, 1) for finding in checked.of(path)]
+    told += [line for finding in checked.of(path) for line in (_line(finding, 1), *_calls(finding))]
     return told + [f"{r.outcome}: {_title(r.rule)}: {_reason(r) or r.rule.claim}" for r in others]
 
 
@@ -114,6 +115,11 @@ def _line(finding: Finding, count: int) -> str:
     more = f" (and {count - 1} more like it, see --all)" if count > 1 else ""
     accepted = f" ({finding.accepted})" if finding.accepted else ""
     return f"{finding.rule.level}: {_title(finding.rule)}: {finding.text}{more}{accepted}"
+
+
+def _calls(finding: Finding) -> list[str]:
+    """Returns the calls that show a finding, indented."""
+    return [f"    {call}" for call in finding.shown.calls]
 
 
 def _title(rule: Rule) -> str:
@@ -163,7 +169,8 @@ def _rule(checked: Checked, path: Path, result: Result) -> dict[str, Any]:
 
 def _finding(finding: Finding) -> dict[str, Any]:
     level, names = finding.rule.level.value, ("message", "line", "maker", "accepted")
-    return {"rule": finding.rule.name, "level": level, **{name: getattr(finding, name) for name in names}}
+    of_finding = {name: getattr(finding, name) for name in names}
+    return {"rule": finding.rule.name, "level": level, **of_finding, "calls": [*finding.shown.calls]}
 
 
 def sarif(checked: Checked) -> str:

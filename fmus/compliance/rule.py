@@ -3,8 +3,8 @@
 import inspect
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache, wraps
 from importlib import import_module
@@ -118,13 +118,25 @@ class NotApplicableError(Exception):
 
 
 @dataclass(frozen=True)
+class Shown:
+    """Calls that show a finding, a line for each, and programs that make them, by file name."""
+
+    calls: tuple[str, ...] = ()
+    programs: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+@dataclass(frozen=True)
 class Result:
-    """Result of one rule on one FMU: messages, or the reason why it does not apply or could not be judged."""
+    """Result of one rule on one FMU: messages, or the reason why it does not apply or could not be judged.
+
+    shown: message -> what shows it, of some messages of behaviour
+    """
 
     rule: Rule
     messages: tuple[str, ...] = ()
     not_applicable: str = ""
     not_judged: str = ""
+    shown: Mapping[str, Shown] = field(default_factory=dict[str, Shown])
 
     @property
     def outcome(self) -> str:

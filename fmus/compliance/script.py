@@ -141,7 +141,7 @@ class Script:
     errors: calls that return error, each with words for a finding if it does not, and what it may return
     lead: actions that lead `start` from the first communication point to where runs begin
     has_started: whether `start` was written
-    next_step: number of the next step of the usual size; saved: slot -> that number and the state
+    next_step: start of the next step, in steps of the usual size; saved: slot -> that number and the state
     """
 
     def __init__(self, probe: Any, options: dict[str, Any]) -> None:
@@ -152,8 +152,8 @@ class Script:
         self.is_forbidden = False
         self.state = "instantiated"
         self.parts = [0]
-        self.next_step = 0
-        self.saved: dict[int, tuple[int, str]] = {}
+        self.next_step: float = 0
+        self.saved: dict[int, tuple[float, str]] = {}
         self.expected: list[Expected] = []
         self.observed: list[tuple[str, str, Reading]] = []
         self.ignored: list[Reply] = []

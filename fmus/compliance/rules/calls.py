@@ -9,9 +9,9 @@ from fmus.compliance.differential import Row, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.rules import call_table as table
 from fmus.compliance.rules.lifecycle import MANY_STEPS
 from fmus.compliance.script import KINDS, Action, Reply, Script
+from fmus.compliance.traces import table
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 
 _MORE = 4096  # bytes than the size of a serialised state

@@ -10,8 +10,8 @@ from fmus.compliance import values
 from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
-from fmus.compliance.rules.call_table import tour
 from fmus.compliance.script import Action, CallError
+from fmus.compliance.traces.table import tour
 from fmus.fmi.binding import DISCARD
 
 _OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"

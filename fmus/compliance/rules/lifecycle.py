@@ -14,6 +14,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE, FmuFile
 from fmus.compliance.probe import DiscardedStepError, Probe, refusal
 from fmus.compliance.rule import CANNOT_LOAD, RANDOM, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reply, Script
+from fmus.compliance.traces import paths
 from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, MODEL_EXCHANGE
 
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
@@ -201,6 +202,7 @@ def several_instances(probe: Probe) -> Iterator[Row]:
         yield Row("beside an instance of the other interface", run, run, options=other, beside=beside)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))
+    yield from paths.rows(probe, paths.beside)
 
 
 @behaviour_rule("2.1.5", condition=values.if_not_claimed(ONLY_ONCE))

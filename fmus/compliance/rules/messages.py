@@ -12,9 +12,10 @@ from fmus.compliance.differential import Row, differential, late_lead
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
-from fmus.compliance.rules.call_table import NAME, tour
 from fmus.compliance.rules.lifecycle import MANY_STEPS
 from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, Action, CallError, Message, Reply, Script
+from fmus.compliance.traces import paths
+from fmus.compliance.traces.table import NAME, tour
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
 
@@ -343,6 +344,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     choices = [*([category] for category in _declared(probe)), []]
     calls = [do.set_debug_logging(on, *choice) for on in (True, False) for choice in choices]
     yield Row("after fmi2SetDebugLogging", (*calls, do.begin, do.run(2)), failing="")
+    yield from paths.rows(probe, paths.again)
 
 
 @differential("advice: an unknown log category is no reason to fail")

@@ -12,6 +12,7 @@ from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
+from fmus.compliance.traces import paths
 from fmus.compliance.variable import is_true
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING
 
@@ -63,6 +64,7 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     varied = do.ignore(others, *do.begin_until(2), *stepping, do.reset), do.begin, do.run_all(5)
     when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
     yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)
+    yield from paths.rows(probe, paths.after_reset)
 
 
 @differential("2.1.6")
@@ -114,6 +116,7 @@ def values_are_set_together(probe: Probe) -> Iterator[Row]:
         together = do.initialise, *do.set_at_once(ordered), *end
         when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
         yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
+    yield from paths.rows(probe, paths.set_otherwise)
 
 
 # setting
@@ -263,6 +266,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     varied = *start, *(do.run(1), do.set_values(values.start_values(chosen))) * 4
     when = "where inputs and tunable parameters were set to what they are"
     yield Row(when, varied, (*start, do.run(4)), "in the state {state!r}", values.RESTARTED)
+    yield from paths.rows(probe, paths.set_twice)
 
 
 @behaviour_rule("2.2.7, 3.1")

@@ -9,6 +9,7 @@ from fmus.compliance.differential import OF_EXPERIMENT, ROUNDING, Row, differenc
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
+from fmus.compliance.traces import paths
 
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _KEPT_ADDRESSES = 8  # of blocks of one size, for reuse: glibc keeps 7 of a thread
@@ -119,6 +120,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     varied = *moving, do.save(), *back, do.restore(), *end
     when = "from a state that was set back"
     yield Row(when, varied, (*moving, *end), tolerance=OF_EXPERIMENT, may_fail=True)
+    yield from paths.rows(probe, paths.restored)
 
 
 @behaviour_rule("2.1.8", condition=_serialises)
@@ -158,7 +160,8 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     again = do.copy(0, 1), do.free_state(), do.step(), do.restore(1), do.read_all(), do.run_all(3)
     first = do.start, do.step(2), do.save(), do.restore()
     varied = *first, do.expect(do.read_all(), do.run_all(3)), *again
-    messages = [*differences(probe, [*rows, Row("from bytes", varied, (), tolerance=OF_EXPERIMENT)])]
+    rows += [Row("from bytes", varied, (), tolerance=OF_EXPERIMENT), *paths.rows(probe, paths.from_bytes)]
+    messages = [*differences(probe, rows)]
     if messages and serialised[0].value != serialised[-1].value:
         yield (
             "fmi2SerializeFMUstate gives other bytes of a saved state after three steps than before them: "
@@ -196,3 +199,4 @@ def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     when = "where values and derivatives are read more often"
     usual = do.start, *(do.set_derivatives(), do.run_all(1)) * 4
     yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)
+    yield from paths.rows(probe, paths.asked)

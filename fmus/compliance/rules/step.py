@@ -11,9 +11,9 @@ from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
-from fmus.compliance.rules import call_table as table
 from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.script import PENDED, Script
+from fmus.compliance.traces import table
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, PENDING
 

@@ -35,11 +35,11 @@ _RESULTS: dict[object, list[Result]] = {}  # by extension, members, and what is 
 def _examined_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Examines equal FMUs once: these tests differ in what the command does with the results."""
 
-    def examined(path: Path, timeout: float, names: Collection[str] | None) -> list[Result]:
+    def examined(path: Path, timeout: float, names: Collection[str] | None, seed: int) -> list[Result]:
         content = members(path) if zipfile.is_zipfile(path) else path.read_bytes()
         key = path.suffix, repr(content), timeout, None if names is None else frozenset(names)
         if key not in _RESULTS:
-            _RESULTS[key] = examine(path, timeout, names)
+            _RESULTS[key] = examine(path, timeout, names, seed)
         return _RESULTS[key]
 
     monkeypatch.setattr("fmus.compliance.examine.examine", examined)

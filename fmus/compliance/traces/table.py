@@ -1,6 +1,7 @@
-"""Table of the calls that the state machines of 3.2.3 and 4.2.4 allow, and how rules ask for calls."""
+"""Tables of the calls that the state machines of 3.2.3 and 4.2.4 allow, and how rules ask for calls."""
 
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from fmus.compliance import actions as do
@@ -18,20 +19,6 @@ WITH_TOLERANCE = *do.begin_until(1000, TOLERANCE), do.step(2)
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 
 Calls = Callable[[Probe, str], Iterable[Action]]
-
-STATES = {CO_SIMULATION: "IMBCTD", MODEL_EXCHANGE: "IMEKTD"}
-"""I instantiated, M initialization mode, B and C step complete, before the first step and after one, E event
-mode, K continuous-time mode, T terminated, D after an error.
-"""
-
-
-def _way(state: str) -> Iterable[Action]:
-    """Returns actions that lead to a state."""
-    return {
-        "I": (), "M": (do.initialise,), "B": (do.begin,), "C": (do.begin, do.step()), "E": (do.begin,),
-        "K": (do.begin, do.enter_continuous_time_mode),
-        "T": (do.begin, do.step(), do.terminate), "D": (do.begin, do.fail, do.in_state("error")),
-    }[state]  # fmt: skip
 
 
 def _log(probe: Probe, _: str) -> Iterator[Action]:
@@ -101,20 +88,62 @@ def _complete_step(probe: Probe, _: str) -> Iterator[Action]:
         yield do.call("completed_integrator_step")
 
 
-# Calls that 3.2.3 and 4.2.4 allow, with usual arguments, but calls that lead to another state or that
-# another rule makes. Reading comes first: by 4.2.4 a slave may refuse fmi2Get* from fmi2Set* until fmi2DoStep
-_ALLOWED: tuple[tuple[str, Calls], ...] = (
-    ("IMBCEKT", _log),
-    ("IMBCEKT", _save),
-    ("MBCEKT", _get),
-    ("BCT", _output_derivatives),
-    ("MBCEKT", _directional_derivatives),
-    ("EK", vectors),
-    ("IMBCEK", _set),
-    ("MBC", lambda *_: [do.set_derivatives(0.0)]),
-    ("K", _complete_step),
-    ("E", lambda *_: [do.call("new_discrete_states")]),
-)
+@dataclass(frozen=True)
+class Table:
+    """States of an interface, each a letter, and the calls that each allows.
+
+    I instantiated, M initialization mode, B and C step complete, before the first step and after one, E event
+    mode, K continuous-time mode, T terminated, D after an error.
+
+    ways: state -> actions that lead there from instantiation
+    questions, changes: states with their calls, with usual arguments, but calls that lead to another state or
+      that another rule makes; only the latter may change values
+    stepping: state between two steps of `CalledInstance.do_step`
+    """
+
+    ways: Mapping[str, Sequence[Action]]
+    questions: Sequence[tuple[str, Calls]]
+    changes: Sequence[tuple[str, Calls]]
+    stepping: str
+
+    @property
+    def allowed(self) -> Sequence[tuple[str, Calls]]:
+        """Questions and changes: by 4.2.4 a slave may refuse fmi2Get* from fmi2Set* until fmi2DoStep."""
+        return *self.questions, *self.changes
+
+
+_BEGIN = {"I": (), "M": (do.initialise,)}
+_END = {"T": (do.begin, do.step(), do.terminate), "D": (do.begin, do.fail, do.in_state("error"))}
+TABLES = {
+    CO_SIMULATION: Table(
+        ways={**_BEGIN, "B": (do.begin,), "C": (do.begin, do.step()), **_END},
+        questions=(
+            ("IMBCT", _log),
+            ("MBCT", _get),
+            ("BCT", _output_derivatives),
+            ("MBCT", _directional_derivatives),
+        ),
+        changes=(("IMBCT", _save), ("IMBC", _set), ("MBC", lambda *_: [do.set_derivatives(0.0)])),
+        stepping="C",
+    ),
+    MODEL_EXCHANGE: Table(
+        ways={**_BEGIN, "E": (do.begin,), "K": (do.begin, do.enter_continuous_time_mode), **_END},
+        questions=(
+            ("IMEKT", _log),
+            ("MEKT", _get),
+            ("MEKT", _directional_derivatives),
+            ("EK", vectors),
+        ),
+        changes=(
+            ("IMEKT", _save),
+            ("IMEK", _set),
+            ("M", lambda *_: [do.set_derivatives(0.0)]),
+            ("K", _complete_step),
+            ("E", lambda *_: [do.call("new_discrete_states")]),
+        ),
+        stepping="E",
+    ),
+}
 
 
 class Tour(NamedTuple):
@@ -163,7 +192,7 @@ def _tour(
     leads = (), initialise, (do.exit_initialization_mode,), *later
     for lead, state in zip(leads, states, strict=True):
         script.write(lead)
-        for i, (allowed, calls) in enumerate(_ALLOWED):
+        for i, (allowed, calls) in enumerate(TABLES[probe.fmu.interface].allowed):
             if state in allowed and (i, state) not in left_out:
                 rows.setdefault((i, state), []).extend(script.write(calls(probe, state)))
     return script, rows
@@ -179,6 +208,6 @@ def run_with_tolerance(probe: Probe) -> Script:
 
 def in_states(probe: Probe, states: str, *actions: Action) -> Iterator[Row]:
     """Yields a row for each state that the interface has: calls in it that succeed."""
-    for state in states:
-        if state in STATES[probe.fmu.interface]:
-            yield Row("", (*_way(state), *actions), (), failing="in the state {state!r}")
+    ways = TABLES[probe.fmu.interface].ways
+    for state in (state for state in states if state in ways):
+        yield Row("", (*ways[state], *actions), (), failing="in the state {state!r}")

@@ -1,0 +1,1 @@
+"""Random legal traces of calls: their table, generation, paths that must agree, shrinking and programs."""

@@ -1,0 +1,72 @@
+"""Findings of rows with what showed them: a call that fails, or two readings that differ."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
+
+from fmus.compliance.differential import Row
+from fmus.compliance.probe import Probe
+from fmus.compliance.script import Expected, Reading, Reply, Script
+from fmus.compliance.traces.shrink import Case, Place
+from fmus.compliance.values import same
+
+
+def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], message: str) -> Case | None:
+    """Returns the case of a message about a row that was played, if it is about a call or a variable."""
+    for play in plays:
+        others = [other for other in plays if other is not play]
+        if failure := play.failure:
+            place = 0, _index(play, failure)
+            return Case([play, *others], [place], partial(_fails, failure))
+        found = next(_unlike(row, usual, play, message.split(" is ", 1)[0]), None)
+        if found is not None:
+            reading, name, one, scale = found
+            tolerance = probe.tolerance if row.tolerance is None else row.tolerance
+            seen, element = _place(play, reading, name)
+            if isinstance(one, dict):
+                differs = partial(_differ, tolerance, 0.0, one[name])
+                return Case([play, *others], [(0, seen)], differs, [element])
+            source = play if any(one is mine for mine in play.expected) else usual
+            expected, of_it = _place(source, one, name)
+            both, places = [source, play, *others], [(0, expected), (1, seen)]
+            return Case(both, places, partial(_differ, tolerance, scale), [of_it, element], compared=2)
+    return None
+
+
+def _differ(tolerance: float, scale: float, *seen: Any) -> bool:
+    *given, last = seen
+    first, second = [*given, *last]
+    return not same(first, second, tolerance, scale)
+
+
+def _fails(failure: Reply, replies: Sequence[Reply]) -> bool:
+    (reply,) = replies
+    return reply.status == failure.status and reply.function == failure.function
+
+
+def _index(script: Script, reply: Reply) -> int:
+    return next(i for i, other in enumerate(script.replies) if other is reply)
+
+
+def _place(script: Script, reading: Reading, name: str) -> Place:
+    """Returns the call that reads a variable, and the variable's element among its values."""
+    for kind, variables in reading.groups.items():
+        for element, variable in enumerate(variables):
+            if variable.name == name:
+                return _index(script, reading.replies[kind]), element
+    raise LookupError(name)
+
+
+def _unlike(
+    row: Row, usual: Script, play: Script, name: str
+) -> Iterator[tuple[Reading, str, Expected, float]]:
+    """Yields the readings that differ in a variable, with its largest expected value."""
+    expected = [*play.expected, *usual.readings]
+    pairs = [*zip(itertools.cycle(expected), play.readings, strict=False)]
+    values = [(one if isinstance(one, dict) else one.values).get(name) for one, _ in pairs]
+    scale = max((abs(x) for x in values if isinstance(x, float)), default=0.0)
+    for (one, reading), value in zip(pairs, values, strict=True):
+        got: dict[str, Any] = reading.values
+        if name in got and not same(value, got[name], row.tolerance or 0.0, scale):
+            yield reading, name, one, scale

@@ -1,0 +1,129 @@
+"""Random legal traces of an FMU: a start time, values that are set in each mode, and steps."""
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from fmus.compliance import actions as do
+from fmus.compliance import values
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError
+from fmus.compliance.script import Action
+from fmus.compliance.variable import Variable
+
+_LEGS, _MOST_STEPS = 8, 10  # of a trace; in a leg
+_ODD = 0.30901699, 0.7548777, 1.6180340  # parts of the usual step size: no simple fractions
+_TOGETHER = 0.4  # share of the variables that are set before a leg
+_LATER = 3  # communication points from the start of the default experiment to another start
+_MOST_TRIES = 6
+_BEFORE = 2  # readings before the first leg
+Pairs = Sequence[do.Pair]
+Setting = Callable[[Pairs], Action]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Values that are set at a communication point, and the sizes of the steps after it, in step sizes of the
+    default experiment.
+    """
+
+    sets: Pairs
+    sizes: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A run by its data: each part of it can be left out, and it stays legal.
+
+    start: number of the communication point that it starts from
+    before, early: values that are set when instantiated, and in initialization mode
+    """
+
+    start: int
+    before: Pairs
+    early: Pairs
+    legs: Sequence[Leg]
+
+    def begin(self, setting: Setting = do.set_values) -> Sequence[Action]:
+        """Returns actions that initialise the instance, and read what is allowed then.
+
+        setting: returns the action that sets values
+        """
+        enter = setting(self.before), do.set_up(None, start=self.start), do.enter_initialization_mode
+        exited = do.exit_initialization_mode, do.count_from(self.start), do.read_all()
+        return *enter, setting(self.early), do.read_readable, *exited
+
+    def run(
+        self, first: int = 0, last: int | None = None, setting: Setting = do.set_values
+    ) -> Iterator[Action]:
+        """Yields actions that set values and make steps of some legs, and read all variables after each."""
+        for leg in self.legs[first:last]:
+            yield from (setting(leg.sets), *map(do.advance, leg.sizes), do.read_all())
+
+    def whole(self, setting: Setting = do.set_values) -> Sequence[Action]:
+        """Returns the actions of the whole run."""
+        return *self.begin(setting), *self.run(setting=setting)
+
+
+def traces(probe: Probe) -> Sequence[Trace]:
+    """Returns the random traces that the FMU runs without a failed call, made once for all rules."""
+    return probe.once("traces", lambda: [*_generated(probe)])
+
+
+def _generated(probe: Probe) -> Iterator[Trace]:
+    lots = random.Random(probe.shared.seed)
+    fmu, any_step = probe.fmu, probe.fmu.is_model_exchange or probe.fmu.claims(values.ANY_STEP)
+    settable = values.settable_while_stepping(fmu)[: do.MOST_VARIABLES]
+    near, *far = [*do.others_in_turn(probe, settable, do.begin, do.step())] or [[]]
+    before = do.others_accepted(probe, values.settable_before(fmu))
+    early = do.others_accepted(probe, values.settable_in_initialization(fmu), do.initialise)
+    for start, first, sets, sizes in (
+        (0, False, [], (1.0,)),
+        (0, True, [near], (1.0,)),
+        (_LATER, True, [near, *far], (1.0, *_ODD) if any_step else (1.0,)),
+    ):
+        ways = _ways(sets)
+        legs = [_leg(lots, ways, sizes) for _ in range(_LEGS)]
+        at_first = [_some(lots, before), _some(lots, early)] if first else [(), ()]
+        if trace := _tried(probe, Trace(start, at_first[0], at_first[1], legs)):
+            yield trace
+
+
+def _ways(sets: Sequence[Pairs]) -> Sequence[tuple[Variable, Sequence[object]]]:
+    """Returns each variable with its start value and others."""
+    variables = {v.index: v for v, _ in chain(*sets)}
+    return [
+        (v, [start, *(x for other, x in chain(*sets) if other is v)])
+        for v, start in values.start_values(variables.values())
+    ]
+
+
+def _some(lots: random.Random, pairs: Pairs) -> Pairs:
+    return [pair for pair in pairs if lots.random() < _TOGETHER]
+
+
+def _leg(
+    lots: random.Random, ways: Sequence[tuple[Variable, Sequence[object]]], sizes: Sequence[float]
+) -> Leg:
+    sets = [(v, lots.choice(some)) for v, some in ways if lots.random() < _TOGETHER]
+    return Leg(sets, [lots.choice(sizes) for _ in range(lots.randint(1, _MOST_STEPS))])
+
+
+def _tried(probe: Probe, trace: Trace) -> Trace | None:
+    """Returns a trace up to where the FMU refuses a value, or discards a step; None if it does so at once."""
+    for _ in range(_MOST_TRIES):
+        script = probe.script(*trace.whole())
+        with suppress(NotJudgedError):
+            probe.play_once([script])
+        if script.succeeded:
+            return trace
+        done = sum(reading.ok for reading in script.readings) - _BEFORE
+        if done < 1 and (trace.before or trace.early):
+            trace = replace(trace, before=(), early=())
+        elif done < 1:
+            return None
+        else:
+            trace = replace(trace, legs=trace.legs[:done])
+    return None

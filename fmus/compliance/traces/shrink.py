@@ -1,0 +1,327 @@
+"""Shortest trace of calls that shows a finding: calls are left out of its scripts while it still shows."""
+
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from difflib import SequenceMatcher
+from typing import Any
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError
+from fmus.compliance.script import STEPS, USUAL_NAME, CallError, Reply, Script
+
+CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"
+_MOST_TRIALS = 120  # of one finding
+_SKELETON = (
+    "set_up_experiment", "exit_initialization_mode", "set_state", "state_of_bytes", "copy_state", "free",
+    "fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2EnterEventMode",
+    "fmi2EnterContinuousTimeMode", "fmi2Terminate", "fmi2Reset", "fmi2SetupExperiment",
+)  # fmt: skip
+_QUESTIONS = (
+    "get", "vector", "directional_derivatives", "output_derivatives", "save_state", "free_state",
+    "state_size", "state_bytes", "status_of", "fmi2SetDebugLogging",
+)  # fmt: skip
+_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
+_TIMED = "do_step", "do_steps", "set_time", "fmi2SetTime"  # the first argument is a time
+Place = tuple[int, int]  # a script and the index of a call in it
+Kept = Sequence[Sequence[int]]  # of each script, the indices of its calls
+
+
+@dataclass(frozen=True)
+class Case:
+    """A finding with what showed it.
+
+    scripts: the usual run, which is played alone, if there is one, and runs that are played side by side
+    places: of the calls whose replies show the finding; elements: of the values that they read, if that is
+      of single variables
+    shows: whether these replies, or the values of these elements, show it
+    compared: number of scripts at the begin that do the same but for what varies, 1 or 2
+    """
+
+    scripts: Sequence[Script]
+    places: Sequence[Place]
+    shows: Callable[[Sequence[Any]], bool]
+    elements: Sequence[int] = ()
+    compared: int = 1
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call as it was made: instance, function, arguments as `plain` has them, and status."""
+
+    instance: int
+    function: str
+    arguments: Sequence[Any]
+    status: int
+
+
+@dataclass(frozen=True)
+class ShortTrace:
+    """The calls that show a finding, in their order, with fmi2Instantiate and fmi2FreeInstance."""
+
+    calls: Sequence[Call]
+
+
+def shrunk(probe: Probe, case: Case) -> ShortTrace | None:
+    """Returns the shortest trace that was found, or None if the finding does not show again."""
+    ends = {number: max(i for n, i in case.places if n == number) for number, _ in case.places}
+    kept: Kept = [
+        range(ends.get(number, len(script.calls) - 1) + 1) for number, script in enumerate(case.scripts)
+    ]
+    trials = 0
+
+    def shows(candidate: Kept, one: Case = case) -> bool:
+        nonlocal trials
+        trials += 1
+        return _shows(probe, one, candidate)
+
+    if not shows(kept):
+        return None
+    units = _units(case, kept)
+    size = max(1, len(units) // 2)
+    while units and trials < _MOST_TRIALS:
+        left = list[frozenset[Place]]()
+        for i in range(0, len(units), size):
+            chunk = units[i : i + size]
+            candidate = _without(kept, frozenset[Place]().union(*chunk))
+            if trials < _MOST_TRIALS and candidate != kept and shows(candidate):
+                kept = candidate
+            else:
+                left += chunk
+        if size == 1 and len(left) == len(units):
+            break
+        units, size = left, max(1, size // 2)
+    alone = replace(case, scripts=case.scripts[: case.compared])
+    if shows(kept[: case.compared], alone):
+        case, kept = alone, kept[: case.compared]
+    single = _narrowed(case)
+    return _recorded(probe, single if shows(kept, single) else case, kept)
+
+
+def _narrowed(case: Case) -> Case:
+    """Returns a case that reads single variables in the places of many."""
+    scripts = list(case.scripts)
+    for (number, i), element in zip(case.places, case.elements, strict=False):
+        method, *arguments = scripts[number].calls[i]
+        if method == "get":
+            scripts[number] = copy(scripts[number])
+            scripts[number].calls = [*scripts[number].calls]
+            scripts[number].calls[i] = (method, arguments[0], [arguments[1][element]])
+    return replace(case, scripts=scripts, elements=[0] * len(case.elements))
+
+
+def _without(kept: Kept, left_out: frozenset[Place]) -> Kept:
+    return [[i for i in some if (number, i) not in left_out] for number, some in enumerate(kept)]
+
+
+def _units(case: Case, kept: Kept) -> list[frozenset[Place]]:
+    """Returns the places that can be left out together, and what remains is legal still and comparable."""
+    units, needed = list[frozenset[Place]](), {*case.places}
+    for number in range(len(case.scripts)):
+        if number >= case.compared:
+            units.append(frozenset((number, i) for i in kept[number]))
+    mains = list[list[int]]()
+    for number in range(case.compared):
+        calls, aside = case.scripts[number].calls, set[int]()
+        for block in _detours([calls[i] for i in kept[number]]):
+            units.append(frozenset((number, i) for i in block))
+            aside.update(block)
+        mains.append([i for i in kept[number] if i not in aside])
+        units += [frozenset([(number, i)]) for i in sorted(aside) if calls[i][0] not in _SKELETON]
+    if case.compared == 1:
+        units += [frozenset([(0, i)]) for i in mains[0] if case.scripts[0].calls[i][0] not in _SKELETON]
+    else:
+        units += _pairs(case, mains)
+    for number in range(case.compared, len(case.scripts)):
+        calls = case.scripts[number].calls
+        units += [frozenset([(number, i)]) for i in kept[number] if calls[i][0] not in _SKELETON]
+    return [unit for unit in units if not unit & needed]
+
+
+def _pairs(case: Case, mains: Sequence[Sequence[int]]) -> Iterator[frozenset[Place]]:
+    """Yields equal calls of two compared scripts, and questions of one."""
+    calls = [[case.scripts[number].calls[i] for i in main] for number, main in enumerate(mains)]
+    first, second = ([repr(call) for call in some] for some in calls)
+    blocks = SequenceMatcher(None, first, second, False).get_matching_blocks()
+    pairs = {block.a + i: block.b + i for block in blocks for i in range(block.size)}
+    for a, b in pairs.items():
+        if calls[0][a][0] not in _SKELETON:
+            yield frozenset([(0, mains[0][a]), (1, mains[1][b])])
+    for number, matched in enumerate(({*pairs}, {*pairs.values()})):
+        for i, (method, *_) in enumerate(calls[number]):
+            if i not in matched and method in _QUESTIONS:
+                yield frozenset([(number, mains[number][i])])
+
+
+def _detours(calls: Sequence[tuple[Any, ...]]) -> Iterator[Sequence[int]]:
+    """Yields the indices of calls up to the last fmi2Reset, and of those from a saved state to its return:
+    what they do is undone.
+    """
+    methods = [method for method, *_ in calls]
+    begin = len(methods) - methods[::-1].index("fmi2Reset") if "fmi2Reset" in methods else 0
+    if begin:
+        yield range(begin)
+    saved: int | None = None
+    for i in range(begin, len(methods)):
+        if methods[i] == "save_state" and saved is None:
+            saved = i
+        if methods[i] == "set_state" and saved is not None:
+            yield range(saved, i + 1)
+            saved = None
+
+
+def _calls(script: Script, kept: Sequence[int]) -> list[tuple[Any, ...]]:
+    """Returns the calls that are kept; times follow from the steps that are left."""
+    calls, chosen = list[tuple[Any, ...]](), {*kept}
+    shift, saved = 0.0, dict[int, float]()
+    for i, (method, *arguments) in enumerate(script.calls):
+        if i in chosen:
+            time = [arguments[0] + shift] if method in _TIMED else arguments[:1]
+            calls.append((method, *time, *arguments[1:]))
+        elif method == "do_step":
+            shift -= arguments[1]
+        elif method == "do_steps":
+            shift -= arguments[1] * arguments[3]
+        if method == "set_up_experiment":
+            shift = 0.0
+        if method == "save_state":
+            saved[arguments[0]] = shift
+        elif method == "copy_state":
+            saved[arguments[1]] = saved.get(arguments[0], shift)
+        elif method == "set_state":
+            shift = saved.get(arguments[0], shift)
+    return calls
+
+
+def _is_legal(script: Script, calls: Sequence[tuple[Any, ...]]) -> bool:
+    """Whether no value is read between a value that is set and the next step, as 4.2.4 has it."""
+    is_stepping = is_set = False
+    for method, *_ in calls if not script.probe.fmu.is_model_exchange else ():
+        is_stepping = method == "exit_initialization_mode" or (is_stepping and method != "fmi2Reset")
+        is_set = (is_set or method in _SETTERS) and is_stepping and method not in STEPS
+        if is_set and method in ("get", "output_derivatives"):
+            return False
+    return True
+
+
+def _context(script: Script, end: int) -> dict[Any, Any]:
+    """Returns what a reading depends on: the time, and the values that were set last, by type and reference.
+
+    end: index of the reading
+    """
+    context, saved = dict[Any, Any](), dict[int, dict[Any, Any]]()
+    for method, *arguments in script.calls[:end]:
+        match method, arguments:
+            case ("do_step", [t, h, *_]):
+                context["time"] = round(t + h, 9)
+            case ("do_steps", [t, h, first, count, *_]):
+                context["time"] = round(t + (first + count) * h, 9)
+            case ("set_time" | "fmi2SetTime" | "set_up_experiment", [t, *_]):
+                context["time"] = round(t, 9)
+            case ("fmi2SetContinuousStates", [states, *_]):
+                context["states"] = states
+            case (_, [references, _, some]) if method in _SETTERS:
+                context |= {(method, r): x for r, x in zip(references, some, strict=True)}
+            case ("fmi2Reset", _):
+                context = {}
+            case ("save_state", [slot]):
+                saved[slot] = context.copy()
+            case ("copy_state", [slot, other]):
+                saved[other] = saved.get(slot, {})
+            case ("set_state", [slot]):
+                context = saved.get(slot, {}).copy()
+            case _:
+                pass
+    return context
+
+
+def _keeps_contexts(case: Case, scripts: Sequence[Script], kept: Kept) -> bool:
+    """Whether the values that are compared depend on the same as one another, or as they did."""
+    if not case.elements:
+        return True
+    before = [_context(case.scripts[number], i) for number, i in case.places]
+    now = [_context(scripts[number], list(kept[number]).index(i)) for number, i in case.places]
+    if len(now) == 2 and before[0] == before[1]:
+        return now[0] == now[1]
+    return now == before
+
+
+def _copies(case: Case, kept: Kept, **options: Any) -> list[Script]:
+    copies = list[Script]()
+    for script, some in zip(case.scripts, kept, strict=True):
+        made = Script(script.probe, {**script.options, **options})
+        for method, *arguments in _calls(script, some):
+            made.call(method, *arguments)
+        made.parts = [sum(i < part for i in some) for part in script.parts]
+        copies.append(made)
+    return copies
+
+
+def _play(probe: Probe, case: Case, scripts: Sequence[Script]) -> None:
+    first, beside = scripts[: case.compared - 1], scripts[case.compared - 1 :]
+    probe.play_each(first)
+    probe.play(*sorted(beside, key=lambda script: bool(script.calls)), keep_going=True)
+
+
+def _shows(probe: Probe, case: Case, kept: Kept) -> bool:
+    scripts = _copies(case, kept)
+    if not all(_is_legal(script, script.calls) for script in scripts):
+        return False
+    if not _keeps_contexts(case, scripts, kept):
+        return False
+    try:
+        _play(probe, case, scripts)
+    except (NotJudgedError, CallError):
+        return False
+    replies = [scripts[number].replies[list(kept[number]).index(i)] for number, i in case.places]
+    others = [
+        reply
+        for script in scripts[: case.compared]
+        for reply in script.replies
+        if not any(reply is target for target in replies)
+    ]
+    try:
+        elements = zip(replies, case.elements, strict=False)
+        seen = [reply.value[i] for reply, i in elements] if case.elements else replies
+        return all(reply.ok for reply in others) and case.shows(seen)
+    except (TypeError, LookupError):
+        return False
+
+
+def _recorded(probe: Probe, case: Case, kept: Kept) -> ShortTrace:
+    """Returns the calls of FMI of what is kept, in their order."""
+    scripts = _copies(case, kept, recorded=True)
+    for script in scripts:
+        ends = [*script.parts[1:], len(script.calls)]
+        for added, end in enumerate(ends):
+            script.calls.insert(end + added, ("recorded_calls",))
+            script.replies.insert(end + added, Reply("", ""))
+        script.parts = [part + i for i, part in enumerate(script.parts)]
+    _play(probe, case, scripts)
+    calls, counts = list[Call](), [0] * len(scripts)
+
+    def take(number: int, recorded: Sequence[Sequence[Any]]) -> None:
+        new = recorded[counts[number] :]
+        calls.extend(Call(number, function, arguments, status) for function, arguments, status in new)
+        counts[number] = len(recorded)
+
+    def answers_of(script: Script) -> list[Any]:
+        pairs = zip(script.calls, script.replies, strict=True)
+        return [reply.value or [] for (method, *_), reply in pairs if method == "recorded_calls"]
+
+    def turn(some: Sequence[int]) -> None:
+        for number in some:
+            options = scripts[number].options
+            name, logging = options.get("name", USUAL_NAME), int(bool(options.get("logging")))
+            calls.append(Call(number, CREATE, [name, logging], 0))
+        for part in range(max(len(answers[number]) for number in some)):
+            for number in some:
+                if part < len(answers[number]):
+                    take(number, answers[number][part])
+        calls.extend(Call(number, FREE, [], 0) for number in some)
+
+    answers = [answers_of(script) for script in scripts]
+    for number in range(case.compared - 1):
+        turn([number])
+    turn(range(case.compared - 1, len(scripts)))
+    return ShortTrace(calls)
