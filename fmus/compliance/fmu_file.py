@@ -8,11 +8,13 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+from fmus.compliance.fmi3_view import as_fmi2
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.variable import Unknown, Variable, Variable3, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
-from fmus.fmi.binding import library_member
+from fmus.fmi.binding import EVENT_MODE, EXAMINED, library_member
+from fmus.fmi.model_description import Element
 from fmus.fmi.variable_types import TYPES
 from fmus.platforms import FMPY
 
@@ -62,6 +64,8 @@ class FmuFile:
         self.archive_problem = self.description_problem = ""
         self.root: Any = etree.Element("none")  # fmiModelDescription, if there is one
         self._judged = ""
+        self.elements: list[Element] | None = None  # of FMI 3.0, where its behaviour is judged
+        self.uses, self.has_clocks = 0, False  # the former of `Fmi3Library`
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
@@ -110,7 +114,7 @@ class FmuFile:
     @property
     def fmi(self) -> int:
         """The version of the standard whose rules are judged."""
-        return 3 if self.is_fmi3 else 2
+        return 3 if self.is_fmi3 or self.elements is not None else 2
 
     @property
     def other_version(self) -> str:
@@ -126,9 +130,25 @@ class FmuFile:
         }
 
     def judged_as(self, interface: str) -> "FmuFile":
-        """Returns this FMU with one of its interfaces, whose capabilities and library count."""
+        """Returns this FMU with one of its interfaces, whose capabilities and library count.
+
+        Of FMI 3.0 it has the description of FMI 2.0 that `fmi3_view.as_fmi2` gives, and elements of
+        `Fmi3Library`; `description_problem` is the reason why not.
+        """
         fmu = copy(self)
         fmu._judged = interface
+        if self.is_fmi3:
+            # its own properties are made anew
+            for name in [
+                name for name in vars(fmu) if isinstance(getattr(FmuFile, name, None), cached_property)
+            ]:
+                delattr(fmu, name)
+            try:
+                fmu.root, fmu.elements = as_fmi2(self.root, self.variables)
+            except (ValueError, LookupError) as error:
+                fmu.description_problem = str(error)
+            fmu.has_clocks = any(v.kind == "Clock" for v in self.variables)
+            fmu.uses = EXAMINED | (EVENT_MODE if fmu.has_clocks and fmu.claims("hasEventMode") else 0)
         return fmu
 
     @property

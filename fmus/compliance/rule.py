@@ -79,13 +79,16 @@ class Rule:
         return replace(self, clause=clause, claim=claim, fmi=3) if clause else None
 
 
+_TYPES = "Real", "Integer", "Boolean", "String"
 _FUNCTION = re.compile(r"\bfmi2(?=[A-Z])")
 _RENAMED = {
     "fmi2SetupExperiment": "fmi3EnterInitializationMode",
     "fmi2Instantiate": "fmi3Instantiate",
     "fmi2NewDiscreteStates": "fmi3UpdateDiscreteStates",
+    "GetRealOutputDerivatives": "GetOutputDerivatives",
     "fmi2GetDerivatives": "fmi3GetContinuousStateDerivatives",
     "FMUstate": "FMUState",
+    **{f"fmi2{verb}{kind}": f"fmi3{verb}{{VariableType}}" for verb in ("Get", "Set") for kind in _TYPES},
     "DeSerialize": "Deserialize",
     "GUID": "instantiationToken",
 }
@@ -275,6 +278,18 @@ def registered(stage: Stage) -> tuple[Rule, ...]:
     modules = [import_module(f"fmus.compliance.rules.{name}").__name__ for name in MODULES]
     rules = (rule for rule in RULES.values() if rule.stage is stage)
     return tuple(sorted(rules, key=lambda rule: modules.index(rule.module)))
+
+
+def of_fmi3(result: Result) -> Result:
+    """Returns a result of behaviour with the names of functions in FMI 3.0; without programs, which call those of
+    FMI 2.0.
+    """
+    shown = {
+        names_of_fmi3(message): Shown(tuple(map(names_of_fmi3, one.calls)))
+        for message, one in result.shown.items()
+    }
+    reasons = {name: names_of_fmi3(getattr(result, name)) for name in ("not_applicable", "not_judged")}
+    return replace(result, messages=tuple(map(names_of_fmi3, result.messages)), shown=shown, **reasons)
 
 
 def of_version(rules: Iterable[Rule], fmi: int) -> tuple[Rule, ...]:

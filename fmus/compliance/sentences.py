@@ -14,6 +14,7 @@ from typing import Any
 _FOLDER = resources.files("fmus.compliance") / "sentences"
 NO_DEMANDS = {
     "should": "the sentence says should",
+    "may": "the sentence permits it",
     "note": "it stands in an informative note",
     "importer": "it binds the importer",
     "explanation": "it explains",

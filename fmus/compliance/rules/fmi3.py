@@ -6,8 +6,11 @@ from typing import Any
 
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.rows import add_rows, anything, elements, row
-from fmus.compliance.rule import Stage
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, Stage, behaviour_rule
+from fmus.compliance.traces.generator import traces
 from fmus.compliance.variable import Variable, Variable3, integer, is_true, number
+from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, EXAMINED
 
 _PERIODIC = ("constant", "fixed", "tunable")
 _ICON = "terminalsAndIcons/icon"
@@ -184,3 +187,22 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda _, fmu: f"{_ICON}.png" not in fmu.paths, f"{{subject}}: expected {_ICON}.png too")),
     row("co-simulation-flags", elements(CO_SIMULATION), (_flag_problem, "{subject.tag} has {value}")),
 ))  # fmt: skip
+
+
+@behaviour_rule("")
+def clocks_have_partitions(probe: Probe) -> None:
+    """Clocks are not judged."""
+    if probe.fmu.has_clocks:
+        raise NotJudgedError("clocks are not judged")
+    raise NotApplicableError("there are no clocks")
+
+
+@behaviour_rule("", interface=CO_SIMULATION)
+def steps_with_events(probe: Probe) -> None:
+    """Random runs succeed with event mode, where the FMU has it, with early return and intermediate updates: each
+    of their times is in the step, and each event comes to an end.
+    """
+    mode = EVENT_MODE if probe.fmu.claims("hasEventMode") else 0
+    for trace in traces(probe):
+        for uses in dict.fromkeys((mode, mode | EARLY_RETURN)):
+            probe.script(*trace.whole(), logging=True, uses=EXAMINED | uses).play()
