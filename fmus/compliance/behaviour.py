@@ -183,11 +183,12 @@ def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Ru
 
 def obstacle(fmu: FmuFile) -> str:
     """Returns the reason why no behaviour can be judged, if there is one."""
+    if fmu.fmi == 3 and not fmu.interfaces and fmu.root.find("ScheduledExecution") is not None:
+        return "scheduled execution is not judged"
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return f"the description cannot be read: {fmu.description_problem}" if fmu.uses else _UNREAD
     no_library = "" if fmu.host_library else f"no library for {platform_name()}"
-    scheduled = "" if fmu.interfaces or fmu.fmi == 2 else "scheduled execution is not judged"
-    return fmu.other_version or scheduled or no_library
+    return fmu.other_version or no_library
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
@@ -283,7 +284,9 @@ class _Judge:
                 probe.process.allow(limit)
                 yield self._result(rule, probe)
         except TimeoutError:
-            if probe.process.hangs(limit):
+            is_usual = probe.states_step_size or not probe.process.call_under_way.startswith("fmi2DoStep")
+            # a step of a size that the FMU does not state may be long
+            if is_usual and probe.process.hangs(limit):
                 yield self._ended(rule, f"{HUNG} {limit:g} s in one call", probe)
             else:
                 yield Result(rule, not_judged=f"{SLOW} {limit:g} s")

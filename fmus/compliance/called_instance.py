@@ -99,10 +99,13 @@ class CalledInstance(parts.StateSlots):
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
         self._tell("fmi2Instantiate", (options.get("name", "instance"), options.get("guid")))
-        address = self._created_of_fmi3(name, guid) if self.library.fmi == 3 else self.library.fmi2Instantiate(
-            name, options.get("interface", self.interface), guid, location, ctypes.byref(structure),
-            0, int(options.get("logging", False)),
-        )  # fmt: skip
+        if self.library.fmi == 3:
+            address = self._created_of_fmi3(name, guid)
+        else:
+            address = self.library.fmi2Instantiate(
+                name, options.get("interface", self.interface), guid, location, ctypes.byref(structure),
+                0, int(options.get("logging", False)),
+            )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None
         self._kept += [*strings, structure]
         if options.get("overwritten"):
@@ -196,11 +199,18 @@ class CalledInstance(parts.StateSlots):
         return values
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
-        """Advances from t to t + h seconds, and waits for a pending step. Returns no reason."""
+        """Advances from t to t + h seconds, and waits for a pending step.
+
+        Returns the reason why a step of FMI 3.0 is discarded although no call failed, or "".
+        """
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == binding.PENDING:
             self.note(PENDED, True)
             self.wait()
+        if self.library.fmi == 3 and self.last_status == binding.DISCARD:
+            ends = ctypes.c_int()
+            self.library.fmi2GetBooleanStatus(self.handle, binding.TERMINATED, ctypes.byref(ends))
+            return "the FMU ends the simulation" if ends.value else ""
         return ""
 
     def do_steps(

@@ -281,8 +281,9 @@ def registered(stage: Stage) -> tuple[Rule, ...]:
 
 
 def of_fmi3(result: Result) -> Result:
-    """Returns a result of behaviour with the names of functions in FMI 3.0; without programs, which call those of
-    FMI 2.0.
+    """Returns a result of behaviour with the names of functions in FMI 3.0.
+
+    It has no programs, which call functions of FMI 2.0.
     """
     shown = {
         names_of_fmi3(message): Shown(tuple(map(names_of_fmi3, one.calls)))

@@ -117,6 +117,11 @@ class Variable:
         return [] if self.start is None else [self.start]
 
     @property
+    def is_single(self) -> bool:
+        """Whether FMI 3.0 transfers it in single precision."""
+        return self.typed.get("single") == "true"
+
+    @property
     def is_settable(self) -> bool:
         """Can be set by fmi2SetXXX before or in initialization mode."""
         return self.causality == "input" or (

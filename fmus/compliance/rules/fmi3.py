@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
-from fmus.compliance.rows import add_rows, anything, elements, row
 from fmus.compliance.probe import Probe
+from fmus.compliance.rows import add_rows, anything, elements, row
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, Stage, behaviour_rule
 from fmus.compliance.traces.generator import traces
 from fmus.compliance.variable import Variable, Variable3, integer, is_true, number
@@ -199,8 +199,8 @@ def clocks_have_partitions(probe: Probe) -> None:
 
 @behaviour_rule("", interface=CO_SIMULATION)
 def steps_with_events(probe: Probe) -> None:
-    """Random runs succeed with event mode, where the FMU has it, with early return and intermediate updates: each
-    of their times is in the step, and each event comes to an end.
+    """Random runs succeed with event mode, where the FMU has it, early return and intermediate updates: the time
+    of each is in the step, and events come to an end.
     """
     mode = EVENT_MODE if probe.fmu.claims("hasEventMode") else 0
     for trace in traces(probe):
