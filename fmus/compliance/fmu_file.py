@@ -8,8 +8,8 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.fmi3_view import as_fmi2
 from fmus.compliance.rule import NotJudgedError
+from fmus.compliance.traces.fmi3_view import as_fmi2
 from fmus.compliance.variable import Unknown, Variable, Variable3, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
@@ -132,7 +132,7 @@ class FmuFile:
     def judged_as(self, interface: str) -> "FmuFile":
         """Returns this FMU with one of its interfaces, whose capabilities and library count.
 
-        Of FMI 3.0 it has the description of FMI 2.0 that `fmi3_view.as_fmi2` gives, and elements of
+        Of FMI 3.0 it has the description of FMI 2.0 that `as_fmi2` gives, and elements of
         `Fmi3Library`; `description_problem` is the reason why not.
         """
         fmu = copy(self)

@@ -90,6 +90,7 @@ _RENAMED = {
     "FMUstate": "FMUState",
     **{f"fmi2{verb}{kind}": f"fmi3{verb}{{VariableType}}" for verb in ("Get", "Set") for kind in _TYPES},
     "DeSerialize": "Deserialize",
+    "newDiscreteStatesNeeded": "discreteStatesNeedUpdate",
     "GUID": "instantiationToken",
 }
 

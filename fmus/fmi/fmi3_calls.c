@@ -157,9 +157,8 @@ static void keep_texts(Instance *a, size_t first, size_t count) {
 }
 
 /* A reference that no variable has, as rules of a check ask for. */
-static int refer_to_none(Instance *a, int kind, int is_set) {
+static int refer_to_none(Instance *a, int kind, int is_set, fmi3ValueReference reference) {
     static const int64_t types[] = {Float64, Int32, String};
-    fmi3ValueReference reference = UINT32_MAX;
     double value[2] = {0, 0};
     const fmi3Status status = a->call->transfer[types[kind]][is_set](a->instance, &reference, 1, value, 1);
     return noted(a, status, TYPES[types[kind]].function[is_set]);
@@ -181,7 +180,7 @@ static size_t whole(const Instance *a, const uint32_t numbers[], size_t n) {
 static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[], size_t n, void *values) {
     int worst = fmi3OK;
     for (size_t i = 0; i < n; i++)
-        if (numbers[i] >= a->n_elements) return refer_to_none(a, kind, is_set);
+        if (numbers[i] >= a->n_elements) return refer_to_none(a, kind, is_set, numbers[i]);
     for (size_t i = 0, taken; i < n; i += taken) {
         const Element *e = a->elements + numbers[i];
         size_t n_arrays = 0, count, offset = 0, size = 0;

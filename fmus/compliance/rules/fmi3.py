@@ -199,8 +199,8 @@ def clocks_have_partitions(probe: Probe) -> None:
 
 @behaviour_rule("", interface=CO_SIMULATION)
 def steps_with_events(probe: Probe) -> None:
-    """Random runs succeed with event mode, where the FMU has it, early return and intermediate updates: the time
-    of each is in the step, and events come to an end.
+    """Random runs succeed with event mode, where the FMU has it, early return and intermediate updates: each
+    is in the step, and events come to an end.
     """
     mode = EVENT_MODE if probe.fmu.claims("hasEventMode") else 0
     for trace in traces(probe):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 
+from fmus.compliance.rule import repeated
 from fmus.compliance.variable import Variable, integer, is_true
 from fmus.extras import require
 from fmus.fmi.fmi3_description import fmi3_description
@@ -34,6 +35,8 @@ def as_fmi2(root: Any, variables: Sequence[Variable]) -> tuple[Any, list[Element
 
     Raises ValueError for a description that cannot be read.
     """
+    if names := repeated(v.reference for v in variables):
+        raise ValueError(f"value reference {next(iter(names))} is of several variables")
     description = fmi3_description(root)
     scalars: dict[int | None, list[int]] = {}  # by value reference, their indices in FMI 2.0
     for number, element in enumerate(description.elements, 1):
