@@ -52,7 +52,9 @@ def check(
     strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
     reproduce: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Write programs of C and FMPy that show findings of behaviour."),
+        typer.Option(
+            metavar="FOLDER", help="Write programs of C and FMPy that show findings of behaviour of FMI 2.0."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random runs of the FMU.")] = 1,
     timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a rule [s].")] = 30.0,

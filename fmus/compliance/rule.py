@@ -80,6 +80,7 @@ class Rule:
 
 
 _TYPES = "Real", "Integer", "Boolean", "String"
+_ENTER = "fmi2EnterInitializationMode"
 _FUNCTION = re.compile(r"\bfmi2(?=[A-Z])")
 _RENAMED = {
     "fmi2SetupExperiment": "fmi3EnterInitializationMode",
@@ -286,8 +287,11 @@ def of_fmi3(result: Result) -> Result:
 
     It has no programs, which call functions of FMI 2.0.
     """
+    # fmi3EnterInitializationMode has the arguments of fmi2SetupExperiment, which stands before it
     shown = {
-        names_of_fmi3(message): Shown(tuple(map(names_of_fmi3, one.calls)))
+        names_of_fmi3(message): Shown(
+            tuple(names_of_fmi3(call) for call in one.calls if not call.endswith(f"{_ENTER}()"))
+        )
         for message, one in result.shown.items()
     }
     reasons = {name: names_of_fmi3(getattr(result, name)) for name in ("not_applicable", "not_judged")}
