@@ -15,7 +15,7 @@ from fmus.fmi.binding import ERROR
 MOST_VARIABLES = 50  # that are changed in a rule
 _MOST_LEAPT, LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
-_LONGEST_RUN_S = 1.0  # of CPU time
+_LONGEST_RUN_S = 0.2  # of CPU time
 P = ParamSpec("P")
 Pair = tuple[Variable, Any]
 
@@ -117,6 +117,11 @@ def step(script: Script, count: int = 1, no_going_back: bool = False) -> None:
     for _ in range(count):
         script.call("do_step", script.time, script.probe.step_size, no_going_back)
         script.next_step += 1
+
+
+def together(*actions: Action) -> Action:
+    """Makes some actions one."""
+    return lambda script: script.write(actions)
 
 
 def count_from(number: float) -> Action:

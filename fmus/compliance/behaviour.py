@@ -34,7 +34,7 @@ from fmus.compliance.rule import (
 from fmus.compliance.script import KINDS, CallError, DefectError, Script
 from fmus.compliance.traces.cases import case_of
 from fmus.compliance.traces.programs import shown
-from fmus.compliance.traces.shrink import shrunk
+from fmus.compliance.traces.shrink import FREE, shrunk, shrunk_crash
 from fmus.errors import HostError, MissingExtraError
 from fmus.files import extract_archive
 from fmus.fmi.binding import platform_name
@@ -305,6 +305,7 @@ class _Judge:
         severe = [o.name for o in others if severity.index(o.level) <= severity.index(rule.level)]
         if call and severe:
             return Result(rule, not_judged=f"{call} does not return, as {severe[0]} reports")
+        probe.shared.crashes[message] = probe.under_way if what.startswith(ENDED) else ()
         return Result(rule, (message,))
 
     def _result(self, rule: Rule, probe: Probe) -> Result:
@@ -367,11 +368,11 @@ class _Judge:
         """Adds the shortest calls that show findings to their results."""
         cases = {message: case for shared in self._shared.values() for message, case in shared.cases.items()}
         for result in [result for result in self.results.values() if result.messages]:
-            pairs = [
-                (text, m) for text in result.messages for m in cases if text.startswith(messages_of([m])[0])
-            ]
-            shown = {text: one for text, m in pairs[:1] if (one := self._shown(m, cases[m]))}
-            self.results[result.rule.name] = replace(result, shown=shown)
+            first, *_ = result.messages
+            known = next((m for m in cases if first.startswith(messages_of([m])[0])), None)
+            calls = self._shown(known, cases[known]) if known else self._shown_crash(first)
+            if calls:
+                self.results[result.rule.name] = replace(result, shown={first: calls})
 
     def _shown(self, message: str, parts: tuple[Any, Script, Sequence[Script]]) -> Shown | None:
         """Returns the calls that show a message, if they do so in a new process."""
@@ -380,10 +381,31 @@ class _Judge:
         try:
             case = case_of(probe, *parts, message)
             trace = shrunk(probe, case) if case else None
-        except (TimeoutError, ProcessEndedError, CallError, NotJudgedError):
+        except (TimeoutError, ProcessEndedError, CallError, DefectError, NotJudgedError):
             return None
         finally:
             probe.process.close()
+        return shown(trace, self._fmu, message) if trace else None
+
+    def _shown_crash(self, message: str) -> Shown | None:
+        """Returns the calls that end the process with a message, if they end a new one."""
+
+        def ends(scripts: Sequence[Script]) -> bool:
+            probe = Probe(self._fmu, self._folder, Shared(), self._is_alone)
+            probe.process.allow(START_S + self._timeout)
+            try:
+                probe.play(*scripts, keep_going=True)
+            except ProcessEndedError:
+                return True
+            except (TimeoutError, CallError, DefectError, NotJudgedError):
+                return False
+            finally:
+                probe.process.close()
+            return False
+
+        crashes = (shared.crashes.get(message, ()) for shared in self._shared.values())
+        group = next((some for groups in crashes for some in groups if ends(some)), None)
+        trace = shrunk_crash(self._fmu, group, ends, FREE in message) if group else None
         return shown(trace, self._fmu, message) if trace else None
 
     def _lack_of_time(self) -> str:

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME
+from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME, VECTORS
 from fmus.fmi import binding
 from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory
 
@@ -17,6 +17,7 @@ _GUARD = 0xA5  # each byte behind an array
 _CHANGES_OF_STATE = (
     "fmi2Enter", "fmi2Exit", "fmi2DoStep", "fmi2Completed", "fmi2Terminate", "fmi2Reset", "fmi2SetFMUstate",
 )  # fmt: skip
+_OF_SOLVERS = {*VECTORS, "fmi2SetContinuousStates", "fmi2SetTime"}
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 
 
@@ -24,6 +25,11 @@ _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their a
 def _kind(function: str) -> tuple[bool, bool]:
     """Returns whether the last argument of a function is what it writes, and whether it changes the state."""
     return function.startswith(_RETURN_ARRAYS), function.startswith(_CHANGES_OF_STATE)
+
+
+@cache
+def _announcement(function: str, after: str) -> bytes:
+    return f"{function}(...){after}".encode()
 
 
 def _overwrite(buffers: Sequence[Any]) -> None:
@@ -66,7 +72,7 @@ class CalledInstance(parts.StateSlots):
 
     def __init__(
         self, library: binding.Library, memory: CountingAllocator, settings: ProcessSettings,
-        options: dict[str, Any], announce: Callable[[str], None],
+        options: dict[str, Any], announce: Callable[[bytes], None],
     ) -> None:  # fmt: skip
         self._options, self._settings, self._announce = options, settings, announce
         self.function = self.mode = ""
@@ -122,8 +128,12 @@ class CalledInstance(parts.StateSlots):
 
     def _tell(self, function: str, arguments: Sequence[Any]) -> None:
         """Announces a call, with the function that brought the instance where it is, and its callbacks."""
+        # a solver makes most calls, and its vectors show little
+        if function in _OF_SOLVERS:
+            self._announce(_announcement(function, self._after))
+            return
         shown = [show(argument) for argument in arguments if (show := parts.shower(type(argument)))]
-        self._announce(f"{function}({str(shown)[1:-1]}){self._after}")
+        self._announce(f"{function}({str(shown)[1:-1]}){self._after}".encode())
 
     def note(self, what: str, is_so: bool) -> None:
         """Notes a fault of the FMU, if there is one, for `changed_settings`."""
@@ -135,18 +145,24 @@ class CalledInstance(parts.StateSlots):
         is_result, changes_state = _kind(function)
         self.function = function
         self._tell(function, arguments[:-1] if is_result else arguments)
+        if not self.watched and self._calls is None:
+            self.last_status = self.status(function, *arguments)
+        else:
+            self._call_watched(function, is_result, arguments)
+        if changes_state and 0 <= self.last_status <= binding.WARNING:
+            self.mode = function
+            self._after = f" after {function}{self._callbacks}"
+
+    def _call_watched(self, function: str, is_result: bool, arguments: Sequence[Any]) -> None:
         arrays = [x for x in arguments if isinstance(x, ctypes.Array)] if self.watched else []
         if is_result:
             arrays = arrays[:-1]
         before = [bytes(array) for array in arrays]
         given = [] if self._calls is None else [parts.plain(x, self._pointers) for x in arguments]
-        super().call(function, *arguments)
+        self.last_status = self.status(function, *arguments)
         if self._calls is not None:
             given = parts.with_results(given, arguments) if is_result else given
             self._calls.append([function, given, self.last_status])
-        if changes_state and 0 <= self.last_status <= binding.WARNING:
-            self.mode = function
-            self._after = f" after {function}{self._callbacks}"
         if arrays:
             self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
 

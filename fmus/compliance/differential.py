@@ -7,14 +7,15 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
-from fmus.compliance.excitation import excitations
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
+from fmus.compliance.traces.generator import excited
 from fmus.compliance.values import differing
 from fmus.fmi.binding import DISCARD
 
 ROUNDING = 1e-9  # relative: of values that are computed again
+_LATE = 5  # legs: some is left of the default experiment for what follows
 _SLOT = 1000  # of a saved state, which no row uses
 OF_EXPERIMENT = None  # tolerance of a row: the tolerance of the default experiment
 
@@ -129,8 +130,12 @@ def late_lead(probe: Probe) -> Sequence[Action]:
 def _other_starts(probe: Probe) -> Iterator[Start]:
     """Yields the first of some states late in a run from which the run can continue."""
     back, saves = (do.save(_SLOT), do.step(), do.restore(_SLOT), do.free_state(_SLOT)), "canGetAndSetFMUstate"
-    excited = [(" with other inputs", do.excite(lead)) for lead in [excitations(probe).lead] if lead]
-    for words, lead in (*excited, ("", do.leap(2))):
+    # odd parameters often cause numerical trouble
+    others = (
+        t.sets for t in excited(probe) if {v.causality for v, _ in itertools.chain(*t.sets)} == {"input"}
+    )
+    with_others = [(" with other inputs", do.excite(sets[:_LATE])) for sets in others]
+    for words, lead in (*with_others, ("", do.leap(2))):
         if probe.fmu.claims(saves) and _is_steady(probe, (lead, *back), (lead,)):
             yield Start(f", from a state set back late in a run{words}", (lead, *back))
             return

@@ -104,15 +104,15 @@ class LoadedFmu:
         return self._resources.as_uri()
 
     def free_of_null(self) -> None:
-        self._announce("fmi2FreeInstance(NULL)")
+        self._announce(b"fmi2FreeInstance(NULL)")
         self._library.fmi2FreeInstance(None)
 
-    def _announce(self, call: str) -> None:
+    def _announce(self, call: bytes) -> None:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
-        content = call.encode()[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
+        content = call[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
         self._announced[BEGAN.size : BEGAN.size + len(content)] = content
         # a pending step is one call, however often its status is asked for
-        if not call.startswith("fmi2GetStatus("):
+        if not call.startswith(b"fmi2GetStatus("):
             BEGAN.pack_into(self._announced, 0, time.time())
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
-from fmus.compliance.script import USUAL_NAME, Action, CallError, Message, Reply, Script
+from fmus.compliance.script import USUAL_NAME, Action, CallError, Groups, Message, Reply, Script, grouped
 from fmus.compliance.variable import Variable, number
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD
@@ -38,7 +38,8 @@ class Shared:
     refusals: replies that were not ok to calls with logging, one of each function and status, with and
       without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
     log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
-    seed: of the random traces; cases: message -> row with its usual run and the others, which show it
+    seed: of the random traces; cases: message -> row with its usual run and the others,
+      which show it; crashes: message -> scripts by groups, some of which end the process
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
     """
@@ -49,6 +50,7 @@ class Shared:
     refusals: dict[tuple[str, int, bool], Reply] = field(default_factory=dict[tuple[str, int, bool], Reply])
     log: dict[Message, None] = field(default_factory=dict[Message, None])
     seed: int = 1
+    crashes: dict[str, Sequence[Sequence[Script]]] = field(default_factory=dict[str, Any])
     cases: dict[str, tuple[Any, Script, Sequence[Script]]] = field(default_factory=dict[str, Any])
     refused_steps: str = ""
     discards: str = ""
@@ -66,7 +68,7 @@ class DiscardedStepError(NotJudgedError):
 class Probe:
     """An unpacked FMU in its own process.
 
-    one_instance: of `FmuProcess`
+    one_instance: of `FmuProcess`; under_way: the scripts that are played, or were the last, by groups
     start_time, stop_time, step_size: of the default experiment [s], infinite if it states no stop time;
     states_step_size: whether it states one; tolerance: relative, stated or the usual one
     """
@@ -78,6 +80,7 @@ class Probe:
         optional = " ".join(names for flag, names in _OF_CAPABILITIES.items() if not fmu.claims(flag)).split()
         self.process = FmuProcess((library, resources, interface, optional, fmu.elements), one_instance)
         self._instances = itertools.count(1)
+        self.under_way: Sequence[Sequence[Script]] = ()
         self.shared = shared
         self._options: dict[str, Any] = {"guid": fmu.root.get("guid", "")}
         self._options |= {"uses": fmu.uses} if fmu.uses else {}
@@ -134,6 +137,7 @@ class Probe:
 
     def _play(self, groups: Sequence[Sequence[Script]], keep_going: bool) -> None:
         """Plays groups of scripts one after the other in one message, scripts of one group side by side."""
+        self.under_way = groups
         turns = list[tuple[Script, int, Call]]()  # with the part of a script
         answers = list[Any]()
         for scripts in groups:
@@ -236,6 +240,11 @@ class Probe:
     def point(self, i: float) -> float:
         """Returns the time of communication point number i [s]."""
         return self.start_time + i * self.step_size
+
+    @cached_property
+    def groups(self) -> Groups:
+        """All variables by type."""
+        return grouped(self.fmu.variables)
 
     @cached_property
     def outputs(self) -> list[Variable]:

@@ -105,6 +105,21 @@ def _elements(function: str, count: int) -> list[Variable]:
     return [Variable(0, {"name": name}, "", {}, {}) for name in names]
 
 
+Groups = dict[str, tuple[list[Variable], list[int], str]]
+
+
+def grouped(variables: Iterable[Variable]) -> Groups:
+    """Returns type -> variables that a function of this type reads, their references, and words for them."""
+    groups: dict[str, list[Variable]] = {}
+    for v in variables:
+        if v.base_kind in KINDS and v.reference is not None:
+            groups.setdefault(v.base_kind, []).append(v)
+    return {
+        kind: (some, [v.reference or 0 for v in some], f" of {listed([str(v.name) for v in some], 1)}")
+        for kind, some in groups.items()
+    }
+
+
 class Reading:
     """Values of variables at a place of a script; `values` after it was played."""
 
@@ -191,14 +206,12 @@ class Script:
         return reply
 
     def read(self, variables: Iterable[Variable]) -> Reading:
-        groups: dict[str, list[Variable]] = {}
-        for v in variables:
-            if v.base_kind in KINDS and v.reference is not None:
-                groups.setdefault(v.base_kind, []).append(v)
-        replies = {kind: self.call("get", kind, [v.reference for v in some]) for kind, some in groups.items()}
-        for kind, members in groups.items():
-            replies[kind].words = f" of {listed([str(v.name) for v in members], 1)}"
-        return Reading(groups, replies)
+        # most readings are of all variables
+        known = self.probe.groups if variables is self.probe.fmu.variables else grouped(variables)
+        replies = {kind: self.call("get", kind, references) for kind, (_, references, _) in known.items()}
+        for kind, (_, _, words) in known.items():
+            replies[kind].words = words
+        return Reading({kind: members for kind, (members, *_) in known.items()}, replies)
 
     def read_everything(self) -> Reading:
         """Adds a reading of all variables, and of the vectors that model exchange has."""

@@ -7,12 +7,13 @@ from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential, starts
+from fmus.compliance.differential import Row, differences, differential, starts
 from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules import events
 from fmus.compliance.script import VECTORS, Action, Script
+from fmus.compliance.traces import paths
 from fmus.fmi.binding import DISCARD
 
 _STATES, _DERIVATIVES, _INDICATORS, _NOMINALS = VECTORS
@@ -193,9 +194,8 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
             yield f"{reply.function} asks for {event.words}: expected that it need not be called"
 
     yield from events.of_events(probe, asked, **options)
-    over = do.begin, *(do.leap(1, True), do.read_all()) * 3
-    called = Row(f"where {reply.function} is called", over, over, tolerance=OF_EXPERIMENT, options=options)
-    yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), called])
+    called = paths.rows(probe, partial(paths.with_options, f"where {reply.function} is called", options))
+    yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), *called])
 
 
 @_rule("3.1")

@@ -99,7 +99,7 @@ def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
     copied = by_bytes if probe.fmu.claims("canSerializeFMUstate") else ()
     states = do.save(), do.save(), *copied, do.restore(), do.free_state()
     actions = (
-        do.set_values(values.start_values(values.settable_before(probe.fmu)[:do.MOST_VARIABLES])),
+        *do.set_at_once(values.start_values(values.settable_before(probe.fmu)[:do.MOST_VARIABLES])),
         do.begin, do.step(3),
         *(states if probe.fmu.claims(_SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
     )  # fmt: skip

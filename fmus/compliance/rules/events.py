@@ -10,11 +10,11 @@ from itertools import chain
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance.excitation import Excitation, excitations
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.script import KINDS, VECTORS
+from fmus.compliance.traces.generator import Trace, excited
 from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true
 
@@ -120,10 +120,10 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
         variables = *discrete_variables(probe.fmu), *chain(*vectors.values())
         groups = {kind: [v for v in variables if v.base_kind == kind] for kind in KINDS}
         observing = {kind: references_of(group) for kind, group in groups.items() if group}
-        run = excitations(probe).runs[others - 1] if others else Excitation((), ())
+        run = excited(probe)[others - 1] if others else Trace(0, (), (), ())
         sets = run.sets
         begins = {i * steps // len(sets): pairs for i, pairs in enumerate(sets)}
-        script = probe.script(*run.begin, observed=observing, logging=True, **options)
+        script = probe.script(*run.initialised, observed=observing, logging=True, **options)
         for i in range(steps if sets or not others else 0):
             script.write([do.set_values(begins.get(i, ()))])
             script.call("do_step", probe.start_time + i * size, size)
@@ -149,7 +149,7 @@ def _run(probe: Probe, others: int = 0, steps: int = _STEPS, **options: Any) -> 
 
 def _runs(probe: Probe, **options: Any) -> Iterator[tuple[list[Event], str]]:
     """Yields what `_run` returns, of a usual run and of some with other inputs."""
-    return (_run(probe, others, **options) for others in range(len(excitations(probe).runs) + 1))
+    return (_run(probe, others, **options) for others in range(len(excited(probe)) + 1))
 
 
 def _of_runs(

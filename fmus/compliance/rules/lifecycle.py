@@ -175,13 +175,7 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     """Instances share no state: setting and reading values, steps and the end of one change nothing in
     another. An error of another rule that a new process does not show is a finding of this rule.
     """
-    changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
-    moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
-    usual, another = (do.start, do.run(5)), (changed[0], *moved)
-    # once it is created last, once it begins last
-    for beside in ((changed, another, usual), (usual, another)):
-        varied = do.start, do.run(2), do.pause, do.run(3)
-        yield Row("beside another instance", varied, usual, beside=beside)
+    yield from paths.rows(probe, paths.beside)
     modes = [((do.initialise,), values.settable_in_initialization, values.readable_in_initialization)]
     if probe.fmu.is_model_exchange:
         modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))
@@ -202,7 +196,6 @@ def several_instances(probe: Probe) -> Iterator[Row]:
         yield Row("beside an instance of the other interface", run, run, options=other, beside=beside)
     freed = do.begin, do.step(), do.pause, do.call("free")
     yield Row("after another instance was freed", varied, beside=(freed,))
-    yield from paths.rows(probe, paths.beside)
 
 
 @behaviour_rule("2.1.5", condition=values.if_not_claimed(ONLY_ONCE))

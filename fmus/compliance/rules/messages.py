@@ -7,14 +7,14 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from fmus.compliance import actions as do
-from fmus.compliance import excitation, rule, values
+from fmus.compliance import rule, values
 from fmus.compliance.differential import Row, differential, late_lead
 from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.lifecycle import MANY_STEPS
 from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, Action, CallError, Message, Reply, Script
-from fmus.compliance.traces import paths
+from fmus.compliance.traces import generator, paths
 from fmus.compliance.traces.table import NAME, tour
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD, ERROR, OK, PENDING, WARNING, status_name
@@ -124,7 +124,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     """Yields what functions change in the tour of the states, in runs with other inputs, where the status
     of a step is asked for, and in the default experiment; the number of bytes is printed after them.
     """
-    scripts = [tour(probe).script, *excitation.played(probe)]
+    scripts = [tour(probe).script, *generator.played(probe)]
     if not probe.fmu.is_model_exchange and probe.fmu.fmi == 2:
         pending = do.call("status_of", "String", binding.PENDING_STATUS)
         scripts.append(do.played(probe, [do.begin, do.step(), pending], watched=True))

@@ -1,25 +1,22 @@
 """Start values, setting and reading variables, and values after fmi2Reset."""
 
 from collections.abc import Iterable, Iterator
-from itertools import chain
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential, starts
-from fmus.compliance.excitation import excitations
+from fmus.compliance.differential import Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import KINDS
 from fmus.compliance.traces import paths
-from fmus.compliance.variable import is_true
+from fmus.compliance.traces.generator import excited
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
 _SETTERS = [f"fmi2Set{kind}" for kind in KINDS]
-_MANY_SETS = "canHandleMultipleSetPerTimeInstant"
 
 
 def _rows_of_starts(probe: Probe, when: str, *before: do.Action) -> Iterator[Row]:
@@ -49,22 +46,10 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     """After other values, a stop time, changed inputs, steps and fmi2Reset, start values are back, and every
     variable is in the same steps as in a new instance.
     """
-    usual = do.begin, do.read_all(), do.run_all(5)
-    stops = (
-        ((do.step(5),), ""),
-        ((do.step(), do.fail), "an error and "),
-        ((do.ignore(do.leap(1)),), "more steps and "),
-    )
-    for stop, words in stops if len(starts(probe)) > 1 else stops[:2]:
-        when, varied = f"after {words}fmi2Reset", (do.start, *stop, do.reset, *usual)
-        yield Row(when, varied, usual, tolerance=OF_EXPERIMENT)
     others = do.set_others(values.settable_before(probe.fmu))
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
-    stepping = do.set_others(values.settable_while_stepping(probe.fmu)), do.step(), do.set_derivatives()
-    varied = do.ignore(others, *do.begin_until(2), *stepping, do.reset), do.begin, do.run_all(5)
-    when, failing = "after other values and fmi2Reset", "after other values, a stop time and fmi2Reset"
-    yield Row(when, varied, (do.begin, do.run_all(5)), failing, OF_EXPERIMENT)
     yield from paths.rows(probe, paths.after_reset)
+    yield from paths.rows(probe, paths.after_an_error)
 
 
 @differential("2.1.6")
@@ -103,19 +88,6 @@ def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
 @differential("2.1.7")
 def values_are_set_together(probe: Probe) -> Iterator[Row]:
     """Several variables that one call sets have the same values as if each were set in a separate call."""
-    pairs = values.other_values(values.settable_in_initialization(probe.fmu))
-    of_kinds = [[pair for pair in pairs if pair[0].base_kind == kind][: do.MOST_VARIABLES] for kind in KINDS]
-    taken = do.accepted_together(probe, list(chain(*of_kinds)), do.initialise)
-    several = [chosen for group in of_kinds if len(chosen := [pair for pair in group if pair in taken]) > 1]
-    if not several:
-        raise NotApplicableError("no two variables of one type take other values in initialization mode")
-    for ordered in [*several, *(chosen[::-1] for chosen in several)]:
-        kind = ordered[0][0].base_kind
-        end = do.exit_initialization_mode, do.read([v for v, _ in ordered])
-        usual = do.initialise, do.set_values(ordered), *end
-        together = do.initialise, *do.set_at_once(ordered), *end
-        when = f"where one fmi2Set{kind} sets {len(ordered)} variables"
-        yield Row(when, together, usual, may_fail=True, again="{}, as it is set alone")
     yield from paths.rows(probe, paths.set_otherwise)
 
 
@@ -165,14 +137,12 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
             actions += do.expect(do.read(others)), do.set_values([(v, x)]), do.step()
             actions += do.read(others, when), do.read_as(taken[:i], when)
         yield Row("", actions, (), tolerance=_EXACT, may_fail=True, again="{}")
-    for run in excitations(probe).runs:
-        yield _set_and_read("in a run", *run.begin, do.excite(run.sets, do.read_as))
-    if probe.fmu.is_model_exchange:
-        chosen = [v for v in chosen if is_true(v.attributes.get(_MANY_SETS, "true"))]
+    for run in excited(probe):
+        yield _set_and_read("in a run", *run.initialised, do.excite(run.sets, do.read_as))
+    yield from paths.rows(probe, paths.set_twice)
     near = do.others_accepted(probe, chosen, do.begin, do.step())
-    starts = do.set_values(values.start_values(v for v, _ in near))
-    first = do.start, do.set_values(near), do.step(), starts, do.set_values(near), do.step()
-    yield _set_and_read("twice at a communication point", *first, do.read_as(near))
+    first = do.start, do.set_values(near), do.step()
+    yield _set_and_read("at a communication point", *first, do.read_as(near))
     if probe.fmu.is_model_exchange:
         near = [(v, x) for v, x in near if v in values.continuous_reals(probe, "input")]
         sets = (do.set_values([(v, values.start_value(v)), (v, x)]) for v, x in near)
@@ -262,11 +232,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     chosen = values.settable_while_stepping(probe.fmu)
     if not chosen:
         raise NotApplicableError("there is neither an input nor a tunable parameter")
-    start = do.start, do.set_values(values.start_values(chosen))
-    varied = *start, *(do.run(1), do.set_values(values.start_values(chosen))) * 4
-    when = "where inputs and tunable parameters were set to what they are"
-    yield Row(when, varied, (*start, do.run(4)), "in the state {state!r}", values.RESTARTED)
-    yield from paths.rows(probe, paths.set_twice)
+    yield from paths.rows(probe, paths.set_again)
 
 
 @behaviour_rule("2.2.7, 3.1")

@@ -188,15 +188,4 @@ def flag_keeps_the_states_of_the_present(_: Probe) -> Iterator[Row]:
 @differential("2.1.7")
 def questions_change_nothing(probe: Probe) -> Iterator[Row]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
-    outputs, inputs = (values.references_of(values.continuous_reals(probe, c)) for c in ("output", "input"))
-    saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
-    asked: list[do.Action] = [do.glance(probe.fmu.variables)]
-    if outputs and probe.fmu.output_derivative_order:
-        asked.append(do.call("output_derivatives", outputs, 1))
-    if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
-        asked.append(do.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs)))
-    varied = do.start, *(do.set_derivatives(), *saved, do.step(), *asked, *saved, do.read_all()) * 4
-    when = "where values and derivatives are read more often"
-    usual = do.start, *(do.set_derivatives(), do.run_all(1)) * 4
-    yield Row(when, varied, usual, tolerance=OF_EXPERIMENT, may_fail=True)
     yield from paths.rows(probe, paths.asked)

@@ -2,17 +2,18 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from fmus.compliance import actions as do
-from fmus.compliance import excitation, values
+from fmus.compliance import values
 from fmus.compliance.differential import ROUNDING, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.rules.derivatives import values_of
+from fmus.compliance.traces import generator
 from fmus.compliance.variable import Variable
 
 _ROUNDED, _SOME = 1e-6, 2
@@ -76,11 +77,13 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
                 yield f"in the default experiment, at {other_t:g} s", v.name, largest
 
 
-def _values_with_others(probe: Probe) -> Iterator[tuple[str, str, Any]]:
-    """Yields when, name and value of all variables after inputs and tunable parameters had other values."""
-    for reading in itertools.chain(*(run.readings for run in excitation.played(probe))):
-        for name, value in reading.values.items() if reading.ok else ():
-            yield "after steps with other inputs", name, value
+def _with_others(probe: Probe) -> Iterator[list[tuple[str, str, Any]]]:
+    """Yields when, name and value of all variables after initialisation with other values, and after steps
+    with other inputs and tunable parameters, of each run.
+    """
+    for run in generator.played(probe):
+        readings = [reading for reading in run.readings[1:] if reading.ok]
+        yield [("in a run with other values", *pair) for r in readings for pair in r.values.items()]
 
 
 def _wrong_values(
@@ -91,7 +94,8 @@ def _wrong_values(
     expected: returns the expectation for a wrong value, or ""
     """
     variables = {v.name: v for v in probe.fmu.variables}
-    for when, name, value in (*_values(probe), *(_values_with_others(probe) if has_others else ())):
+    others = itertools.chain(*_with_others(probe)) if has_others else ()
+    for when, name, value in (*_values(probe), *others):
         if text := expected(variables[name], value) if name in variables else "":
             yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
@@ -176,31 +180,26 @@ def fixed_values_stay(probe: Probe) -> Iterator[str]:
     variables, kept = probe.fmu.variables, ("constant", "fixed", "tunable")
     held = {v.name: v for v in variables if v.variability in kept or v.causality == "input"}
     first = {v.name: x for v, x in values.start_values(held.values()) if v.variability == "constant"}
-    # tunable variables and inputs are set in these runs
-    fixed = {name for name, v in held.items() if v.variability in kept[:2]}
-    with_others = (seen for seen in _values_with_others(probe) if seen[1] in fixed)
-    for when, name, read in (*_values(probe), *with_others):
-        value = values.read_value(read)
-        if name in held and not values.same(before := first.setdefault(name, value), value, _ROUNDED):
-            what = "as it is a constant" if held.pop(name).variability == "constant" else "as before"
-            got, expected = values.texts(value, before)
-            yield f"{name} is {got} {when}: expected {expected}, {what}"
-    yield from differences(probe, _rows_of_what_stays(probe))
+    runs = [({*held}, _values(probe)), *_held_in_runs(probe, held)]
+    for names, run in runs:
+        known = first.copy()
+        for when, name, read in run:
+            value = values.read_value(read)
+            is_held = name in held and name in names
+            if is_held and not values.same(before := known.setdefault(name, value), value, _ROUNDED):
+                what = "as it is a constant" if held.pop(name).variability == "constant" else "as before"
+                got, expected = values.texts(value, before)
+                yield f"{name} is {got} {when}: expected {expected}, {what}"
 
 
-def _rows_of_what_stays(probe: Probe) -> Iterator[Row]:
-    """Yields rows in which other variables get other values."""
-    settable, variables = values.settable_while_stepping(probe.fmu), probe.fmu.variables
-    fixed, tunable = ([v for v in variables if v.variability == kind] for kind in ("fixed", "tunable"))
-    rows = ("input", [*fixed, *tunable], "inputs"), ("parameter", fixed, "tunable parameters")
-    for causality, chosen, what in rows:
-        changed = [v for v in settable if v.causality == causality] if chosen else []
-        pairs = do.others_accepted(probe, changed, do.begin, do.step())
-        if pairs:
-            read, set_others = do.read(chosen), do.set_values(pairs)
-            varied = do.start, do.step(), do.expect(read), do.step(), set_others, do.step(2), read
-            when = f"after other {what}"
-            yield Row(when, varied, (), tolerance=ROUNDING, may_fail=True, again="{} as before")
+def _held_in_runs(
+    probe: Probe, held: Mapping[str, Variable]
+) -> Iterator[tuple[set[str], list[tuple[str, str, Any]]]]:
+    """Yields names of variables that do not change in each run with other values, with what is read."""
+    for trace, run in zip(generator.excited(probe), _with_others(probe), strict=True):
+        causalities = {v.causality for v, _ in itertools.chain(*trace.sets)}
+        kept = ("constant", "fixed") if "parameter" in causalities else ("constant", "fixed", "tunable")
+        yield {name for name, v in held.items() if v.variability in kept and v.causality != "input"}, run
 
 
 @behaviour_rule("2.2.7")

@@ -9,11 +9,11 @@ from itertools import chain
 from fmus.compliance import actions as do
 from fmus.compliance import values
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import Action
+from fmus.compliance.rule import NotApplicableError, NotJudgedError
+from fmus.compliance.script import Action, CallError, Script
 from fmus.compliance.variable import Variable
 
-_LEGS, _MOST_STEPS = 8, 10  # of a trace; in a leg
+_LEGS, _MOST_STEPS = 7, 6  # of a trace; in a leg
 _ODD = 0.30901699, 0.7548777, 1.6180340  # parts of the usual step size: no simple fractions
 _TOGETHER = 0.4  # share of the variables that are set before a leg
 _LATER = 3  # communication points from the start of the default experiment to another start
@@ -21,6 +21,11 @@ _MOST_TRIES = 6
 _BEFORE = 2  # readings before the first leg
 Pairs = Sequence[do.Pair]
 Setting = Callable[[Pairs], Action]
+
+
+def set_together(pairs: Pairs) -> Action:
+    """Sets variables, all of one type in one call."""
+    return lambda script: script.write(do.set_at_once(pairs))
 
 
 @dataclass(frozen=True)
@@ -39,30 +44,44 @@ class Trace:
 
     start: number of the communication point that it starts from
     before, early: values that are set when instantiated, and in initialization mode
+    is_late: whether most of the default experiment comes before the legs
     """
 
     start: int
     before: Pairs
     early: Pairs
     legs: Sequence[Leg]
+    is_late: bool = False
 
-    def begin(self, setting: Setting = do.set_values) -> Sequence[Action]:
+    def begin(self, setting: Setting = set_together) -> Sequence[Action]:
         """Returns actions that initialise the instance, and read what is allowed then.
 
         setting: returns the action that sets values
         """
         enter = setting(self.before), do.set_up(None, start=self.start), do.enter_initialization_mode
         exited = do.exit_initialization_mode, do.count_from(self.start), do.read_all()
-        return *enter, setting(self.early), do.read_readable, *exited
+        late = (do.leap(2), do.read_all()) if self.is_late else ()
+        return *enter, setting(self.early), do.read_readable, *exited, *late
 
     def run(
-        self, first: int = 0, last: int | None = None, setting: Setting = do.set_values
+        self, first: int = 0, last: int | None = None, setting: Setting = set_together
     ) -> Iterator[Action]:
         """Yields actions that set values and make steps of some legs, and read all variables after each."""
         for leg in self.legs[first:last]:
             yield from (setting(leg.sets), *map(do.advance, leg.sizes), do.read_all())
 
-    def whole(self, setting: Setting = do.set_values) -> Sequence[Action]:
+    @property
+    def sets(self) -> Sequence[Pairs]:
+        """Values that are set before each leg."""
+        return [leg.sets for leg in self.legs]
+
+    @property
+    def initialised(self) -> Sequence[Action]:
+        """Actions that initialise the instance at the usual start time, and read nothing."""
+        sets = do.set_values(self.before), do.initialise, do.set_values(self.early)
+        return *sets, do.exit_initialization_mode
+
+    def whole(self, setting: Setting = set_together) -> Sequence[Action]:
         """Returns the actions of the whole run."""
         return *self.begin(setting), *self.run(setting=setting)
 
@@ -72,6 +91,20 @@ def traces(probe: Probe) -> Sequence[Trace]:
     return probe.once("traces", lambda: [*_generated(probe)])
 
 
+def excited(probe: Probe) -> Sequence[Trace]:
+    """Returns the traces that set values while the FMU steps; none where calls of usual runs fail."""
+    with suppress(CallError, NotJudgedError, NotApplicableError):
+        return [trace for trace in traces(probe) if any(trace.sets)]
+    return []
+
+
+def played(probe: Probe) -> list[Script]:
+    """Returns the runs of the traces, all watched, played once for all rules."""
+    some = [probe.script(*trace.whole(), logging=True, watched=True) for trace in excited(probe)]
+    probe.play_once(some)
+    return some
+
+
 def _generated(probe: Probe) -> Iterator[Trace]:
     lots = random.Random(probe.shared.seed)
     fmu, any_step = probe.fmu, probe.fmu.is_model_exchange or probe.fmu.claims(values.ANY_STEP)
@@ -79,15 +112,18 @@ def _generated(probe: Probe) -> Iterator[Trace]:
     near, *far = [*do.others_in_turn(probe, settable, do.begin, do.step())] or [[]]
     before = do.others_accepted(probe, values.settable_before(fmu))
     early = do.others_accepted(probe, values.settable_in_initialization(fmu), do.initialise)
-    for start, first, sets, sizes in (
-        (0, False, [], (1.0,)),
-        (0, True, [near], (1.0,)),
-        (_LATER, True, [near, *far], (1.0, *_ODD) if any_step else (1.0,)),
+    is_input = [[pair for pair in pairs if pair[0].causality == "input"] for pairs in far]
+    usual, odd = (1.0,), (1.0, *_ODD) if any_step else (1.0,)
+    for start, first, sets, sizes, is_late in (
+        (0, False, [], usual, False),
+        (0, True, [near], usual, False),
+        (0, False, is_input, odd, True),
+        (_LATER, True, [near, *far], odd, False),
     ):
         ways = _ways(sets)
         legs = [_leg(lots, ways, sizes) for _ in range(_LEGS)]
         at_first = [_some(lots, before), _some(lots, early)] if first else [(), ()]
-        if trace := _tried(probe, Trace(start, at_first[0], at_first[1], legs)):
+        if trace := _tried(probe, Trace(start, at_first[0], at_first[1], legs, is_late)):
             yield trace
 
 
@@ -114,16 +150,20 @@ def _leg(
 def _tried(probe: Probe, trace: Trace) -> Trace | None:
     """Returns a trace up to where the FMU refuses a value, or discards a step; None if it does so at once."""
     for _ in range(_MOST_TRIES):
-        script = probe.script(*trace.whole())
-        with suppress(NotJudgedError):
-            probe.play_once([script])
-        if script.succeeded:
-            return trace
-        done = sum(reading.ok for reading in script.readings) - _BEFORE
-        if done < 1 and (trace.before or trace.early):
+        with suppress(NotJudgedError, NotApplicableError):
+            script = probe.script(*trace.whole())
+            with suppress(NotJudgedError):
+                probe.play_once([script])
+            if script.succeeded:
+                return trace
+            done = sum(reading.ok for reading in script.readings) - _BEFORE - trace.is_late
+            if done > 0:
+                trace = replace(trace, legs=trace.legs[:done])
+                continue
+        if trace.is_late:
+            trace = replace(trace, is_late=False)
+        elif trace.before or trace.early:
             trace = replace(trace, before=(), early=())
-        elif done < 1:
-            return None
         else:
-            trace = replace(trace, legs=trace.legs[:done])
+            return None
     return None

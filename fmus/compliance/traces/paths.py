@@ -1,6 +1,7 @@
 """Paths that must agree: the same trace in other ways, each a row of the rule whose sentence it breaks."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -9,17 +10,20 @@ from fmus.compliance import values
 from fmus.compliance.differential import Row
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import Action, Script
-from fmus.compliance.traces.generator import Trace, traces
+from fmus.compliance.traces.generator import Pairs, Trace, set_together, traces
 from fmus.compliance.traces.table import TABLES
+from fmus.compliance.variable import is_true
 
+MANY_SETS = "canHandleMultipleSetPerTimeInstant"
+_JUDGED = 2  # traces of each path
 _SLOT, _COPY = 0, 1  # of saved states
 _SUMMED = 1e-3  # relative: some dozen steps of a solver that begins elsewhere sum up their errors
 Path = Callable[[Probe, Trace, Trace], Iterator[Row]]
 
 
 def rows(probe: Probe, path: Path) -> Iterator[Row]:
-    """Yields the rows of a path, given each random trace and another one."""
-    some = traces(probe)
+    """Yields the rows of a path, given each of the last random traces, which vary most, and another one."""
+    some = traces(probe)[-_JUDGED:]
     for trace, other in zip(some, [*some[1:], *some[:1]], strict=True):
         yield from path(probe, trace, other)
 
@@ -28,9 +32,12 @@ def _row(when: str, trace: Trace, varied: Sequence[Action], tolerance: float = 0
     return Row(when, tuple(varied), trace.whole(), tolerance=tolerance, **more)
 
 
-def again(_: Probe, trace: Trace, __: Trace) -> Iterator[Row]:
-    """Yields the same run, with logging."""
-    yield _row("with logging", trace, trace.whole())
+def with_options(when: str, options: Mapping[str, Any], _: Probe, trace: Trace, __: Trace) -> Iterator[Row]:
+    """Yields the same run of an instance with logging and some options."""
+    yield _row(when, trace, trace.whole(), _SUMMED, options=options)
+
+
+again = partial(with_options, "with logging", {"watched": True})
 
 
 def asked(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
@@ -41,38 +48,49 @@ def asked(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
     def questions(state: str) -> list[Action]:
         return [*chain(*(calls(probe, state) for states, calls in table.questions if state in states))]
 
-    stepping = *saved, *questions(table.stepping)
-    legs = chain(*((*trace.run(i, i + 1), *stepping) for i in range(len(trace.legs))))
-    yield _row(
-        "where values and derivatives are read more often",
-        trace,
-        (*trace.begin(), *stepping, *legs),
-        _SUMMED,
-        may_fail=True,
-    )
+    def leg(i: int) -> Iterator[Action]:
+        # 4.2.4 has no reading between setting and a step
+        middle = questions(table.stepping) if probe.fmu.is_model_exchange else ()
+        yield from trace.run(i, i + 1, lambda pairs: do.together(set_together(pairs), *middle))
+        yield from (*saved, *questions(table.stepping))
+
+    legs = chain(*map(leg, range(len(trace.legs))))
+    first = *trace.begin(), *saved, *questions(table.stepping)
+    when = "where values and derivatives are read more often"
+    yield _row(when, trace, (*first, *legs), _SUMMED, may_fail=True)
 
 
 def set_otherwise(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
-    """Yields a run in which values are set together, in another order."""
+    """Yields a run in which each value is set in a separate call, in another order."""
 
-    def together(pairs: Sequence[do.Pair]) -> Action:
-        return lambda script: script.write(do.set_at_once(pairs[::-1]))
-
-    yield _row("where values were set together, in another order", trace, trace.whole(together))
+    varied = trace.whole(lambda pairs: do.set_values(pairs[::-1]))
+    yield _row("where values were set one after another, the last first", trace, varied)
 
 
-def set_twice(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
-    """Yields a run in which each value is set twice, at first to its start value."""
+def set_again(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
+    """Yields a run in which all inputs and tunable parameters are set at each point, to what they are."""
+    present = {v.index: (v, x) for v, x in values.start_values(values.settable_while_stepping(probe.fmu))}
+    present |= {v.index: (v, x) for v, x in (*trace.before, *trace.early) if v.index in present}
 
-    def twice(pairs: Sequence[do.Pair]) -> Action:
-        starts = values.start_values(v for v, _ in pairs)
-        return lambda script: script.write([do.set_values(starts), do.set_values(pairs)])
+    def everything(pairs: Pairs) -> Action:
+        present.update((v.index, (v, x)) for v, x in pairs)
+        return set_together([*present.values()])
 
-    if not probe.fmu.is_model_exchange:
-        yield _row("where values were set twice at a time", trace, trace.whole(twice), values.RESTARTED)
+    when = "where inputs and tunable parameters were set to what they are"
+    yield _row(when, trace, (*trace.begin(), *trace.run(setting=everything)), values.RESTARTED)
 
 
-def unread(actions: Iterable[Action]) -> Action:
+def set_twice(_: Probe, trace: Trace, __: Trace) -> Iterator[Row]:
+    """Yields a run in which values are set twice at a time, at first to their start values."""
+
+    def twice(pairs: Pairs) -> Action:
+        many = (v for v, _ in pairs if is_true(v.attributes.get(MANY_SETS, "true")))
+        return do.together(set_together(values.start_values(many)), set_together(pairs))
+
+    yield _row("where values were set twice at a time", trace, trace.whole(twice), values.RESTARTED)
+
+
+def unread(*actions: Action) -> Action:
     """Returns actions whose readings are not compared, and whose failure is ignored."""
 
     def action(script: Script) -> None:
@@ -85,12 +103,14 @@ def unread(actions: Iterable[Action]) -> Action:
 
 def after_reset(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
     """Yields a run after another one and fmi2Reset."""
-    yield _row(
-        "after another run and fmi2Reset",
-        trace,
-        (unread(other.whole()), do.reset, *trace.whole()),
-        _SUMMED,
-    )
+    varied = unread(*other.whole()), do.reset, *trace.whole()
+    yield _row("after another run and fmi2Reset", trace, varied, _SUMMED)
+
+
+def after_an_error(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
+    """Yields a run after another one, an error and fmi2Reset."""
+    varied = unread(*other.whole()), do.fail, do.reset, *trace.whole()
+    yield _row("after another run, an error and fmi2Reset", trace, varied, _SUMMED)
 
 
 def beside(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
@@ -99,7 +119,7 @@ def beside(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
     def in_turns(one: Trace) -> list[Action]:
         return [*one.begin(), *chain(*((do.pause, *one.run(i, i + 1)) for i in range(len(one.legs))))]
 
-    others = tuple((unread(in_turns(one)),) for one in (other, trace))
+    others = tuple((unread(*in_turns(one)),) for one in (other, trace))
     yield _row("beside two other instances", trace, in_turns(trace), beside=others)
 
 
@@ -120,7 +140,7 @@ def _from_a_state(
     part = len(trace.legs) // 2
     if part:
         leg = trace.legs[part - 1]
-        first = *trace.begin(), *trace.run(0, part - 1), do.set_values(leg.sets), *map(do.advance, leg.sizes)
-        away = unread([*other.run(0, part), do.read_all()])
+        first = *trace.begin(), *trace.run(0, part - 1), set_together(leg.sets), *map(do.advance, leg.sizes)
+        away = unread(*other.run(0, part), do.read_all())
         back = do.restore(slot), do.read_all(), *trace.run(part)
         yield _row(when, trace, (*first, do.save(_SLOT), *copied, away, *back), _SUMMED)

@@ -1,17 +1,24 @@
 """Shortest trace of calls that shows a finding: calls are left out of its scripts while it still shows."""
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
+from functools import partial
 from typing import Any
 
+from fmus.compliance.called_instance import CalledInstance
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.model_exchange import ModelExchangeInstance
 from fmus.compliance.probe import Probe
+from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import STEPS, USUAL_NAME, CallError, Reply, Script
+from fmus.compliance.script import STEPS, USUAL_NAME, CallError, DefectError, Reply, Script
+from fmus.fmi.callbacks import CountingAllocator
 
 CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"
-_MOST_TRIALS = 120  # of one finding
+_MOST_TRIALS, _MOST_PROCESSES = 120, 40  # of one finding; of one crash, each in a new process
 _SKELETON = (
     "set_up_experiment", "exit_initialization_mode", "set_state", "state_of_bytes", "copy_state", "free",
     "fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2EnterEventMode",
@@ -21,6 +28,7 @@ _QUESTIONS = (
     "get", "vector", "directional_derivatives", "output_derivatives", "save_state", "free_state",
     "state_size", "state_bytes", "status_of", "fmi2SetDebugLogging",
 )  # fmt: skip
+_DIGITS = 12  # of times that are shifted: sums of sizes are as exact
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _TIMED = "do_step", "do_steps", "set_time", "fmi2SetTime"  # the first argument is a time
 Place = tuple[int, int]  # a script and the index of a call in it
@@ -68,34 +76,86 @@ def shrunk(probe: Probe, case: Case) -> ShortTrace | None:
     kept: Kept = [
         range(ends.get(number, len(script.calls) - 1) + 1) for number, script in enumerate(case.scripts)
     ]
-    trials = 0
-
-    def shows(candidate: Kept, one: Case = case) -> bool:
-        nonlocal trials
-        trials += 1
-        return _shows(probe, one, candidate)
-
-    if not shows(kept):
+    if not _shows(probe, case, kept):
         return None
-    units = _units(case, kept)
+    kept = _minimal(case, kept, lambda candidate: _shows(probe, case, candidate), _MOST_TRIALS)
+    alone = replace(case, scripts=case.scripts[: case.compared])
+    if _shows(probe, alone, kept[: case.compared]):
+        case, kept = alone, kept[: case.compared]
+    single = _narrowed(case)
+    return _recorded(probe, single if _shows(probe, single, kept) else case, kept)
+
+
+def shrunk_crash(
+    fmu: FmuFile, group: Sequence[Script], ends: Callable[[Sequence[Script]], bool], is_free: bool
+) -> ShortTrace:
+    """Returns the shortest trace that was found of scripts that end the process side by side.
+
+    ends: whether some scripts end a new process; is_free: whether fmi2FreeInstance does
+    """
+    case = Case(group, (), lambda _: True)
+
+    def shows(candidate: Kept) -> bool:
+        copies = _copies(case, candidate)
+        return all(_is_legal(script, script.calls) for script in copies) and ends(copies)
+
+    kept: Kept = [range(len(script.calls)) for script in group]
+    # a call that ends the process has none after it
+    count = bisect_left(kept[-1], 1, key=lambda count: shows([*kept[:-1], range(count)]))
+    kept = _minimal(case, [*kept[:-1], range(count)], shows, _MOST_PROCESSES)
+    scripts = [script for script in _copies(case, kept) if script.calls]
+    calls = list[Call]()
+    for number, script in enumerate(scripts):
+        calls += [_created(number, script), *_rehearsed(number, script, fmu)]
+        calls += [Call(number, FREE, [], 0)] * is_free
+    return ShortTrace(calls)
+
+
+class _Silent:
+    """A library all of whose functions return ok and write nothing."""
+
+    def __getattr__(self, name: str) -> Callable[..., int]:
+        return lambda *_: int(name == CREATE)
+
+
+def _rehearsed(number: int, script: Script, fmu: FmuFile) -> Iterator[Call]:
+    """Yields the calls of FMI that a script makes, without the FMU: it ends the process that calls it."""
+    kind = ModelExchangeInstance if fmu.is_model_exchange else CalledInstance
+    options = {**script.options, "recorded": True}
+    library: Any = _Silent()
+    instance = kind(library, CountingAllocator(), ProcessSettings(), options, lambda _: None)
+    instance.create()
+    for method, *arguments in script.calls:
+        is_function = method.startswith("fmi2")
+        call = partial(instance.call_with_lists, method) if is_function else getattr(instance, method)
+        call(*arguments)
+    yield from (Call(number, *call) for call in instance.recorded_calls())
+
+
+def _minimal(case: Case, kept: Kept, shows: Callable[[Kept], bool], most: int) -> Kept:
+    """Returns what is kept of the scripts where units are left out while the finding shows.
+
+    most: number of trials
+    """
+    units, trials = _units(case, kept), 0
     size = max(1, len(units) // 2)
-    while units and trials < _MOST_TRIALS:
+    while units and trials < most:
         left = list[frozenset[Place]]()
         for i in range(0, len(units), size):
             chunk = units[i : i + size]
             candidate = _without(kept, frozenset[Place]().union(*chunk))
-            if trials < _MOST_TRIALS and candidate != kept and shows(candidate):
+            if trials >= most or candidate == kept:
+                left += chunk
+                continue
+            trials += 1
+            if shows(candidate):
                 kept = candidate
             else:
                 left += chunk
         if size == 1 and len(left) == len(units):
             break
         units, size = left, max(1, size // 2)
-    alone = replace(case, scripts=case.scripts[: case.compared])
-    if shows(kept[: case.compared], alone):
-        case, kept = alone, kept[: case.compared]
-    single = _narrowed(case)
-    return _recorded(probe, single if shows(kept, single) else case, kept)
+    return kept
 
 
 def _narrowed(case: Case) -> Case:
@@ -176,7 +236,7 @@ def _calls(script: Script, kept: Sequence[int]) -> list[tuple[Any, ...]]:
     shift, saved = 0.0, dict[int, float]()
     for i, (method, *arguments) in enumerate(script.calls):
         if i in chosen:
-            time = [arguments[0] + shift] if method in _TIMED else arguments[:1]
+            time = [round(arguments[0] + shift, _DIGITS)] if method in _TIMED else arguments[:1]
             calls.append((method, *time, *arguments[1:]))
         elif method == "do_step":
             shift -= arguments[1]
@@ -271,7 +331,7 @@ def _shows(probe: Probe, case: Case, kept: Kept) -> bool:
         return False
     try:
         _play(probe, case, scripts)
-    except (NotJudgedError, CallError):
+    except (NotJudgedError, CallError, DefectError):
         return False
     replies = [scripts[number].replies[list(kept[number]).index(i)] for number, i in case.places]
     others = [
@@ -286,6 +346,11 @@ def _shows(probe: Probe, case: Case, kept: Kept) -> bool:
         return all(reply.ok for reply in others) and case.shows(seen)
     except (TypeError, LookupError):
         return False
+
+
+def _created(number: int, script: Script) -> Call:
+    options = script.options
+    return Call(number, CREATE, [options.get("name", USUAL_NAME), int(bool(options.get("logging")))], 0)
 
 
 def _recorded(probe: Probe, case: Case, kept: Kept) -> ShortTrace:
@@ -310,10 +375,7 @@ def _recorded(probe: Probe, case: Case, kept: Kept) -> ShortTrace:
         return [reply.value or [] for (method, *_), reply in pairs if method == "recorded_calls"]
 
     def turn(some: Sequence[int]) -> None:
-        for number in some:
-            options = scripts[number].options
-            name, logging = options.get("name", USUAL_NAME), int(bool(options.get("logging")))
-            calls.append(Call(number, CREATE, [name, logging], 0))
+        calls.extend(_created(number, scripts[number]) for number in some)
         for part in range(max(len(answers[number]) for number in some)):
             for number in some:
                 if part < len(answers[number]):
