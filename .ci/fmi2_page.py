@@ -89,7 +89,9 @@ def _rules(rules: Sequence[Rule]) -> str:
 def _clauses(rule: Rule) -> str:
     """Links to the clauses whose sentences a rule checks, or what kind of advice it is."""
     clauses = dict.fromkeys(sentence.clause for sentence in sentences_of(rule.name))
-    return ", ".join(f"[{clause}](#{_anchor(_heading(clause))})" for clause in clauses) or rule.clause
+    links = ", ".join(f"[{clause}](#{_anchor(_heading(clause))})" for clause in clauses)
+    of_fmi3 = ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(rule.name, 3)))
+    return "; ".join(filter(None, [links or rule.clause, of_fmi3 and f"FMI 3.0.2: {of_fmi3}"]))
 
 
 def _anchor(heading: str) -> str:

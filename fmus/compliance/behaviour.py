@@ -26,6 +26,8 @@ from fmus.compliance.rule import (
     Stage,
     defect,
     messages_of,
+    of_fmi3,
+    of_version,
     registered,
     without_folders,
 )
@@ -43,6 +45,7 @@ FUNDAMENTAL = (
     "runs-are-repeatable",
 )  # fmt: skip
 """Rules without which no behaviour is judged: further findings would have the same cause."""
+_UNREAD = "the FMU cannot be read"
 ENDED = "the FMU ended the process with"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
 DEFAULT_TIMEOUT_S, DEFAULT_SEED = 30.0, 1
@@ -95,15 +98,16 @@ def behaviour(
     `OF_INSTANCES` are yielded too
     seed: of the random traces
     """
-    rules = [rule for rule in registered(Stage.BEHAVIOUR) if names is None or rule.name in names]
+    every = of_version(registered(Stage.BEHAVIOUR), fmu.fmi)
+    rules = [rule for rule in every if names is None or rule.name in names]
     halves = {
         interface: _of_interface(fmu.judged_as(interface), rules, timeout, of_libraries, seed)
         for interface in fmu.interfaces or [CO_SIMULATION]
     }
-    for rule in registered(Stage.BEHAVIOUR):
+    for rule in every:
         of_rule = {kind: results.get(rule.name, Result(rule)) for kind, results in halves.items()}
         if rule in rules or (rule.name in OF_INSTANCES and any(half.messages for half in of_rule.values())):
-            yield _joined(rule, of_rule)
+            yield of_fmi3(_joined(rule, of_rule)) if fmu.fmi == 3 else _joined(rule, of_rule)
 
 
 def _of_interface(
@@ -179,8 +183,10 @@ def _in_order(chosen: Sequence[Rule], applicable: Mapping[str, Rule]) -> list[Ru
 
 def obstacle(fmu: FmuFile) -> str:
     """Returns the reason why no behaviour can be judged, if there is one."""
+    if fmu.fmi == 3 and not fmu.interfaces and fmu.root.find("ScheduledExecution") is not None:
+        return "scheduled execution is not judged"
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
-        return "the FMU cannot be read"
+        return f"the description cannot be read: {fmu.description_problem}" if fmu.uses else _UNREAD
     no_library = "" if fmu.host_library else f"no library for {platform_name()}"
     return fmu.other_version or no_library
 
@@ -216,7 +222,7 @@ class _Judge:
         After a crash or a hang a new process goes on with the next rule.
         """
         fmu, applicable = self._fmu, self._applicable
-        for rule in registered(Stage.BEHAVIOUR):
+        for rule in of_version(registered(Stage.BEHAVIOUR), fmu.fmi):
             if reason := _other_interface(rule, fmu) or rule.condition(fmu):
                 self.results[rule.name] = Result(rule, not_applicable=reason)
             else:
@@ -278,7 +284,9 @@ class _Judge:
                 probe.process.allow(limit)
                 yield self._result(rule, probe)
         except TimeoutError:
-            if probe.process.hangs(limit):
+            is_usual = probe.states_step_size or not probe.process.call_under_way.startswith("fmi2DoStep")
+            # a step of a size that the FMU does not state may be long
+            if is_usual and probe.process.hangs(limit):
                 yield self._ended(rule, f"{HUNG} {limit:g} s in one call", probe)
             else:
                 yield Result(rule, not_judged=f"{SLOW} {limit:g} s")

@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
@@ -59,6 +59,7 @@ class CalledInstance(parts.StateSlots):
       callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
         "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
+      uses: of an instance of FMI 3.0, see `Fmi3Library`
       interface: fmi2Type, by default the interface of this class
       watched: whether settings of the process are compared before and after each call
       recorded: whether all calls are kept for `recorded_calls`
@@ -103,15 +104,23 @@ class CalledInstance(parts.StateSlots):
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
         self._tell("fmi2Instantiate", texts)
-        address = self.library.fmi2Instantiate(
-            name, options.get("interface", self.interface), guid, location, ctypes.byref(structure),
-            0, int(options.get("logging", False)),
-        )  # fmt: skip
+        if self.library.fmi == 3:
+            address = self._created_of_fmi3(name, guid)
+        else:
+            address = self.library.fmi2Instantiate(
+                name, options.get("interface", self.interface), guid, location, ctypes.byref(structure),
+                0, int(options.get("logging", False)),
+            )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None
         self._kept += [*strings, structure]
         if options.get("overwritten"):
             _overwrite(strings)
         return self.handle is not None
+
+    def _created_of_fmi3(self, name: Any, token: Any) -> int | None:
+        options, environment = self._options, self.callbacks.structure.componentEnvironment
+        is_logging, library = bool(options.get("logging")), cast(Any, self.library)
+        return library.created(name, token, options["resources"], environment, is_logging, options["uses"])
 
     def check_status(self, function: str, status: int) -> None:
         self.last_status = status
@@ -205,11 +214,18 @@ class CalledInstance(parts.StateSlots):
         return values
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> str:
-        """Advances from t to t + h seconds, and waits for a pending step. Returns no reason."""
+        """Advances from t to t + h seconds, and waits for a pending step.
+
+        Returns the reason why a step of FMI 3.0 is discarded although no call failed, or "".
+        """
         self.call("fmi2DoStep", t, h, int(no_going_back))
         if self.last_status == binding.PENDING:
             self.note(PENDED, True)
             self.wait()
+        if self.library.fmi == 3 and self.last_status == binding.DISCARD:
+            ends = ctypes.c_int()
+            self.library.fmi2GetBooleanStatus(self.handle, binding.TERMINATED, ctypes.byref(ends))
+            return "the FMU ends the simulation" if ends.value else ""
         return ""
 
     def do_steps(

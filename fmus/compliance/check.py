@@ -52,7 +52,9 @@ def check(
     strict: Annotated[bool, typer.Option("--strict", help="Fail if a rule is not judged.")] = False,
     reproduce: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Write programs of C and FMPy that show findings of behaviour."),
+        typer.Option(
+            metavar="FOLDER", help="Write programs of C and FMPy that show findings of behaviour of FMI 2.0."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random runs of the FMU.")] = 1,
     timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a rule [s].")] = 30.0,
@@ -62,7 +64,7 @@ def check(
         typer.Option("--explain", metavar="RULE", help="Show what a rule claims and its sentences of FMI."),
     ] = "",
 ) -> None:
-    """Check FMUs against the rules of FMI 2.0.5, or the description of FMI 3.0 by its schema and FMPy.
+    """Check FMUs against the rules of FMI 2.0.5 and FMI 3.0.2.
 
     Exit status: 0; 1 for errors; 2 for wrong use or a missing file; 3 if this machine allows no verdict;
     4 with --strict, if a rule is not judged.

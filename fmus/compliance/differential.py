@@ -182,7 +182,8 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
     for play in (play for play in plays if play is plays[0] or play.observed):
         failure = play.failure
         # `statuses-are-legal` reports an illegal discard
-        is_discarded = failure and failure.status == DISCARD and probe.fmu.is_model_exchange
+        may_discard = failure and (probe.fmu.is_model_exchange or failure.reason)
+        is_discarded = failure and failure.status == DISCARD and may_discard
         if failure and (row.may_fail or is_discarded):
             raise NotJudgedError(f"a call fails that may: {failure.problem}")
         if failure:

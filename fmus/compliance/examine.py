@@ -15,7 +15,7 @@ from fmus.compliance.behaviour import (
 )
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
-from fmus.compliance.rule import SCHEMA, Result, Stage, registered
+from fmus.compliance.rule import Result, Stage, of_version, registered
 
 GATES = "archive-is-zip", "archive-has-description", "description-is-readable", *FUNDAMENTAL
 _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
@@ -87,10 +87,9 @@ def static_results(
     """
     for stage in stages:
         unread = "" if stage is Stage.FILE else _unread(fmu)
-        for rule in registered(stage):
+        for rule in of_version(registered(stage), fmu.fmi):
             if names is None or rule.name in names:
-                reason = "" if fmu.is_fmi3 and rule.name == SCHEMA else unread
-                yield Result(rule, not_judged=reason) if reason else judged(rule, fmu)
+                yield Result(rule, not_judged=unread) if unread else judged(rule, fmu)
 
 
 def _unread(fmu: FmuFile) -> str:

@@ -84,7 +84,7 @@ def findings_of(results: Mapping[Path, Sequence[Result]]) -> list[Finding]:
 
 def _lines(fmu: FmuFile) -> dict[str, int]:
     """Returns name -> line of the element that has it; a variable comes before a type or unit."""
-    named = [*fmu.root.iter(), *fmu.root.iterfind("ModelVariables/ScalarVariable")]
+    named = [*fmu.root.iter(), *fmu.root.iterfind("ModelVariables/*")]
     return {element.get("name"): element.sourceline for element in named if element.get("name")}
 
 

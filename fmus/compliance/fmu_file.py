@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.variable import Unknown, Variable, integer, is_true
+from fmus.compliance.traces.fmi3_view import as_fmi2
+from fmus.compliance.variable import Unknown, Variable, Variable3, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
-from fmus.fmi.binding import library_member
+from fmus.fmi.binding import EVENT_MODE, EXAMINED, library_member
+from fmus.fmi.model_description import Element
 from fmus.fmi.variable_types import TYPES
 from fmus.platforms import FMPY
 
@@ -22,6 +24,15 @@ ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
+_SECTIONS = {  # of ModelStructure, their lists in FMI 2.0 -> elements of FMI 3.0
+    "Outputs": "Output", "Derivatives": "ContinuousStateDerivative", "InitialUnknowns": "InitialUnknown",
+    "ClockedStates": "ClockedState", "EventIndicators": "EventIndicator",
+}  # fmt: skip
+_FLAGS = {  # of FMI 2.0 -> of FMI 3.0
+    "canGetAndSetFMUstate": "canGetAndSetFMUState",
+    "canSerializeFMUstate": "canSerializeFMUState",
+    "providesDirectionalDerivative": "providesDirectionalDerivatives",
+}
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -36,21 +47,6 @@ def schema_errors(root: Any, path: str) -> list[Any]:
     definition = _schema(path)
     definition.validate(root.getroottree())
     return list(definition.error_log)
-
-
-def fmpy_problems(path: Path) -> list[str]:
-    """Returns what FMPy finds in the model description of an FMU, or why it cannot read it."""
-    from fmpy import read_model_description
-    from fmpy.model_description import ValidationError
-
-    try:
-        read_model_description(path, validate_variable_names=True, validate_model_structure=True)
-    except ValidationError as error:
-        return error.problems
-    except Exception as error:
-        # its parser relies on more than the schema demands, such as existing references
-        return [f"it cannot read the description ({type(error).__name__}: {error})"]
-    return []
 
 
 class BrokenMemberError(ValueError):
@@ -68,6 +64,8 @@ class FmuFile:
         self.archive_problem = self.description_problem = ""
         self.root: Any = etree.Element("none")  # fmiModelDescription, if there is one
         self._judged = ""
+        self.elements: list[Element] | None = None  # of FMI 3.0, where its behaviour is judged
+        self.uses, self.has_clocks = 0, False  # the former of `Fmi3Library`
         try:
             with zipfile.ZipFile(path) as archive:
                 self.members = archive.infolist()
@@ -114,11 +112,14 @@ class FmuFile:
         return self.version.startswith("3.0")
 
     @property
+    def fmi(self) -> int:
+        """The version of the standard whose rules are judged."""
+        return 3 if self.is_fmi3 or self.elements is not None else 2
+
+    @property
     def other_version(self) -> str:
-        """Reason why rules of FMI 2.0 are not judged, if the FMU is one of another version."""
-        if self.is_fmi3:
-            return "FMI 3.0: behaviour not judged, the description by schema and FMPy alone"
-        return "" if self.version == "2.0" else "it is no FMU of FMI 2.0 or 3.0"
+        """Reason why no more than the file is judged, if the FMU is one of another version."""
+        return "" if self.version == "2.0" or self.is_fmi3 else "it is no FMU of FMI 2.0 or 3.0"
 
     @cached_property
     def interfaces(self) -> dict[str, Mapping[str, str]]:
@@ -129,9 +130,25 @@ class FmuFile:
         }
 
     def judged_as(self, interface: str) -> "FmuFile":
-        """Returns this FMU with one of its interfaces, whose capabilities and library count."""
+        """Returns this FMU with one of its interfaces, whose capabilities and library count.
+
+        Of FMI 3.0 it has the description of FMI 2.0 that `as_fmi2` gives, and elements of
+        `Fmi3Library`; `description_problem` is the reason why not.
+        """
         fmu = copy(self)
         fmu._judged = interface
+        if self.is_fmi3:
+            # its own properties are made anew
+            for name in [
+                name for name in vars(fmu) if isinstance(getattr(FmuFile, name, None), cached_property)
+            ]:
+                delattr(fmu, name)
+            try:
+                fmu.root, fmu.elements = as_fmi2(self.root, self.variables)
+            except (ValueError, LookupError) as error:
+                fmu.description_problem = str(error)
+            fmu.has_clocks = any(v.kind == "Clock" for v in self.variables)
+            fmu.uses = EXAMINED | (EVENT_MODE if fmu.has_clocks and fmu.claims("hasEventMode") else 0)
         return fmu
 
     @property
@@ -149,7 +166,8 @@ class FmuFile:
 
     def claims(self, capability: str) -> bool:
         """Whether a capability flag of the interface that is judged is true."""
-        return is_true(self._attributes.get(capability))
+        name = _FLAGS.get(capability, capability) if self.is_fmi3 else capability
+        return is_true(self._attributes.get(name))
 
     @property
     def output_derivative_order(self) -> int:
@@ -162,7 +180,9 @@ class FmuFile:
 
     @cached_property
     def types(self) -> dict[str, Any]:
-        """Name -> element inside SimpleType, such as Enumeration."""
+        """Name -> element inside SimpleType, such as Enumeration; of FMI 3.0, such as EnumerationType."""
+        if self.is_fmi3:
+            return {e.get("name", ""): e for e in self.root.iterfind("TypeDefinitions/*")}
         types = {}
         for simple in self.root.iterfind("TypeDefinitions/SimpleType"):
             types.update({simple.get("name", ""): element for element in simple if element.tag in TYPES})
@@ -170,6 +190,9 @@ class FmuFile:
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
+        if self.is_fmi3:
+            listed = self.root.iterfind("ModelVariables/*")
+            return tuple(self._variable3(index, element) for index, element in enumerate(listed, 1))
         elements = self.root.iterfind("ModelVariables/ScalarVariable")
         return tuple(self._variable(index, element) for index, element in enumerate(elements, 1))
 
@@ -177,23 +200,44 @@ class FmuFile:
         typed = next((child for child in element if child.tag in TYPES), None)
         if typed is None:
             return Variable(index, dict(element.attrib), "", {}, {})
+        declared, items = self._declared(typed)
+        return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), declared, items)
+
+    def _variable3(self, index: int, element: Any) -> Variable:
+        stated = dict(element.attrib)
+        return Variable3(index, stated, element.tag, stated, *self._declared(element), element)
+
+    def _declared(self, typed: Any) -> tuple[dict[str, str], frozenset[int]]:
+        """Returns the attributes of the type that is declared, and the values of its items."""
         declared = self.types.get(typed.get("declaredType", ""))
-        if declared is None or declared.tag != typed.tag:
-            declared = etree.Element("none")
+        if declared is None or declared.tag.removesuffix("Type") != typed.tag:
+            return {}, frozenset()
         values = [integer(item.get("value")) for item in declared.iterfind("Item")]
-        items = frozenset(value for value in values if value is not None)
-        attributes = (dict(one.attrib) for one in (typed, declared))
-        return Variable(index, dict(element.attrib), typed.tag, *attributes, items=items)
+        return dict(declared.attrib), frozenset(value for value in values if value is not None)
+
+    @cached_property
+    def by_key(self) -> dict[int | None, Variable]:
+        """Variables by their keys in the description: the index, or in FMI 3.0 the value reference.
+
+        Of several variables with one reference it has the first.
+        """
+        return {v.reference if self.is_fmi3 else v.index: v for v in reversed(self.variables)}
+
+    @property
+    def key_words(self) -> str:
+        """Words for the keys that variables have."""
+        return "the value reference of a variable" if self.is_fmi3 else f"1..{len(self.variables)}"
+
+    def section(self, name: str) -> str:
+        """Returns the name of a list of ModelStructure in this version of FMI."""
+        return _SECTIONS[name] if self.is_fmi3 else name
 
     @cached_property
     def derivatives(self) -> dict[int, Variable]:
         """Index of each variable with the attribute derivative -> the other variable that it names."""
-        stated = {v.index: integer(v.typed.get("derivative")) or 0 for v in self.variables}
-        return {
-            index: self.variables[of - 1]
-            for index, of in stated.items()
-            if 1 <= of <= len(self.variables) and of != index
-        }
+        stated = {v.index: integer(v.typed["derivative"]) for v in self.variables if "derivative" in v.typed}
+        known = {index: self.by_key[of] for index, of in stated.items() if of in self.by_key}
+        return {index: of for index, of in known.items() if of.index != index}
 
     @cached_property
     def state_derivatives(self) -> dict[int, int]:
@@ -209,13 +253,16 @@ class FmuFile:
     @cached_property
     def unknowns(self) -> dict[str, list[Unknown]]:
         """Section of ModelStructure -> its unknowns."""
-        variables = {v.index: (v,) for v in self.variables}
+        key = "valueReference" if self.is_fmi3 else "index"
+        variables = {number: (v,) for number, v in self.by_key.items()}
         return {
-            section: [
-                Unknown(section, element, *variables.get(integer(element.get("index")) or 0, ()))
-                for element in self.root.iterfind(f"ModelStructure/{section}/Unknown")
+            name: [
+                Unknown(self.section(name), element, *variables.get(integer(element.get(key)), ()))
+                for element in self.root.iterfind(
+                    f"ModelStructure/{self.section(name)}{'' if self.is_fmi3 else '/Unknown'}"
+                )
             ]
-            for section in ("Outputs", "Derivatives", "InitialUnknowns")
+            for name in _SECTIONS
         }
 
     def vector_length(self, function: str) -> int:
@@ -241,7 +288,8 @@ class FmuFile:
     def host_library(self) -> str:
         """Path inside the archive of the library that this machine loads, or ""."""
         identifier = self._attributes.get("modelIdentifier", "")
-        return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
+        is_name = C_IDENTIFIER.fullmatch(identifier)
+        return (library_member(self.names, identifier, self.fmi) or "") if is_name else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
         """Returns the content of a member.

@@ -21,12 +21,13 @@ _DECIMALS = re.compile(r"\b\d+\.\d+(?:e[+-]?\d+)?")
 class FmuProcess:
     """The process that calls the FMU.
 
-    library: the paths of library and resources, fmi2Type, and the functions that may be missing
+    library: the paths of library and resources, fmi2Type, the functions that may be missing, and elements of
+    FMI 3.0, or None
     limit: seconds from `allow` on until TimeoutError is raised; ProcessEndedError after its end
     one_instance: whether instances are created in a new process, but for others of the same calls
     """
 
-    def __init__(self, library: tuple[Path, Path, int, list[str]], one_instance: bool) -> None:
+    def __init__(self, library: tuple[Path, Path, int, list[str], Any], one_instance: bool) -> None:
         self.allow(START_S)
         self._library, self.one_instance = library, one_instance
         self._start()

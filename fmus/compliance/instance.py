@@ -22,6 +22,7 @@ from fmus.compliance.rule import ALLOCATIONS, defect
 from fmus.compliance.script import STEPS
 from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, FATAL, WARNING, Library
 from fmus.fmi.callbacks import CountingAllocator
+from fmus.fmi.model_description import Element
 from fmus.fmi.process import Parent
 from fmus.operating_system import limit_process
 
@@ -44,18 +45,30 @@ def _failed(method: str, status: int) -> int:
     return status if ends else 0
 
 
+def _loaded(
+    path: Path, interface: int, optional: Sequence[str], elements: Sequence[Element] | None
+) -> Library:
+    if elements is None:
+        return Library(path, interface, optional)
+    # it needs NumPy, which takes time to import
+    from fmus.fmi.fmi3 import Fmi3Library
+
+    return Fmi3Library(path, interface, elements, is_examined=True)
+
+
 class LoadedFmu:
     """A loaded library with its instances by number.
 
     printed: the file that holds what the process prints; announced: the file `CALLED`
     interface: fmi2Type; optional: functions that may be missing
+    elements: of `Fmi3Library`; None of FMI 2.0
     """
 
     def __init__(
         self, announced: mmap.mmap, printed: Path, library: Path, resources: Path, interface: int,
-        optional: Sequence[str],
+        optional: Sequence[str], elements: Sequence[Element] | None,
     ) -> None:  # fmt: skip
-        self._library = Library(library, interface, optional)
+        self._library = _loaded(library, interface, optional, elements)
         self._resources, self._printed = resources, printed
         self._class = CalledInstance if interface == CO_SIMULATION else CalledModelExchange
         self._announced = announced
@@ -107,7 +120,7 @@ class LoadedFmu:
 
         options: see `CalledInstance`
         """
-        options = {"location": self._resources.as_uri(), **options}
+        options = {"location": self._resources.as_uri(), "resources": self._resources, **options}
         instance = self._class(self._library, self._memory, self._settings, options, self._announce)
         self._instances[number] = instance
         return self._observed(instance, instance.create)

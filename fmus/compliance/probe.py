@@ -78,11 +78,12 @@ class Probe:
         library, resources = folder / fmu.host_library, folder / "resources"
         interface = binding.MODEL_EXCHANGE if fmu.is_model_exchange else binding.CO_SIMULATION
         optional = " ".join(names for flag, names in _OF_CAPABILITIES.items() if not fmu.claims(flag)).split()
-        self.process = FmuProcess((library, resources, interface, optional), one_instance)
+        self.process = FmuProcess((library, resources, interface, optional, fmu.elements), one_instance)
         self._instances = itertools.count(1)
         self.under_way: Sequence[Sequence[Script]] = ()
         self.shared = shared
         self._options: dict[str, Any] = {"guid": fmu.root.get("guid", "")}
+        self._options |= {"uses": fmu.uses} if fmu.uses else {}
         if fmu.is_model_exchange:
             self._options |= {
                 "states": fmu.vector_length("fmi2GetContinuousStates"),

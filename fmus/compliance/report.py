@@ -166,7 +166,7 @@ def _calls(finding: Finding) -> list[str]:
 
 
 def _title(rule: Rule) -> str:
-    return f"{rule.name} ({rule.clause})"
+    return f"{rule.name} ({rule.place})"
 
 
 def _reason(result: Result) -> str:
@@ -204,7 +204,7 @@ def json_text(checked: Checked) -> str:
 
 def _rule(checked: Checked, path: Path, result: Result) -> dict[str, Any]:
     rule = result.rule
-    of_rule = {"rule": rule.name, "clause": rule.clause, "claim": rule.claim, "level": rule.level.value}
+    of_rule = {"rule": rule.name, "clause": rule.place, "claim": rule.claim, "level": rule.level.value}
     names = ("messages", "not_applicable", "not_judged")
     of_result = {name: getattr(result, name) for name in names}
     return {**of_rule, "outcome": checked.outcome(path, result), **of_result}
@@ -219,6 +219,9 @@ def _finding(finding: Finding) -> dict[str, Any]:
 def sarif(checked: Checked) -> str:
     """Returns SARIF 2.1.0, which code scanning of GitHub and others read."""
     rules = {finding.rule.name: finding.rule for finding in checked.findings}
+    places = {
+        name: dict.fromkeys(f.rule.place for f in checked.findings if f.rule.name == name) for name in rules
+    }
     driver = {
         "name": "l1-depth check",
         "informationUri": _STANDARD,
@@ -226,7 +229,7 @@ def sarif(checked: Checked) -> str:
             {
                 "id": rule.name,
                 "shortDescription": {"text": rule.claim},
-                "help": {"text": f"FMI 2.0.5, {rule.clause}"},
+                "help": {"text": "; ".join(map(_standard, places[rule.name]))},
                 "helpUri": help_uri(rule),
                 "defaultConfiguration": {"level": _SARIF_LEVELS[rule.level]},
             }
@@ -235,6 +238,10 @@ def sarif(checked: Checked) -> str:
     }
     runs = [{"tool": {"driver": driver}, "results": [_sarif_result(f) for f in checked.findings]}]
     return json.dumps({"$schema": _SARIF_SCHEMA, "version": "2.1.0", "runs": runs}, indent=2) + "\n"
+
+
+def _standard(place: str) -> str:
+    return place if place.startswith("FMI 3") else f"FMI 2.0.5, {place}"
 
 
 def _sarif_result(finding: Finding) -> dict[str, Any]:
@@ -330,8 +337,11 @@ def explain(name: str, rules: Sequence[Rule]) -> str:
     chosen = next((rule for rule in rules if rule.name == name), None)
     if chosen is None:
         raise ValueError(f"--explain: no rule {name!r}: {nearest(name, [rule.name for rule in rules])}")
-    checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name)]
-    body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {chosen.clause}"]
+    body = list[str]()
+    for fmi, text in ((2, "FMI 2.0.5"), (3, "FMI 3.0.2")):
+        checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name, fmi)]
+        body += [f"sentences of {text} that it checks:", *checked] if checked else []
+    body = body or [f"clause: {chosen.clause}"]
     needs = [f"not judged if broken: {', '.join(chosen.needs)}"] if chosen.needs else []
     by = "calls of the FMU" if chosen.stage is Stage.BEHAVIOUR else f"the {chosen.stage}, without running it"
     head = f"{name}: {chosen.level} ({levels()[name][1]}), judged by {by}"

@@ -10,7 +10,7 @@ from functools import cache, wraps
 from importlib import import_module
 from typing import Any
 
-from fmus.compliance.sentences import levels, rule_table, titles
+from fmus.compliance.sentences import ADVICE, clauses_of, levels, rule_table, titles
 
 Check = Callable[[Any], Iterable[str] | None]
 Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
@@ -43,6 +43,7 @@ class Rule:
     """One rule: `check` yields a message for each breach, or makes calls that must succeed.
 
     interface: the element of the only interface that it applies to; "" for both
+    fmi: version of the standard whose clause it names
     """
 
     name: str
@@ -55,11 +56,51 @@ class Rule:
     last: bool = False
     interface: str = ""
     module: str = ""
+    fmi: int = 2
 
     @property
     def level(self) -> Level:
         """Level of the rule in `sentences/rules.toml`."""
-        return Level(levels()[self.name][0])
+        table = rule_table()["levels_of_fmi3"] if self.fmi == 3 else {}
+        return Level(table.get(self.name, levels()[self.name][0]))
+
+    @property
+    def place(self) -> str:
+        """The clause; of FMI 3.0 with the version of its text."""
+        is_advice = self.clause.startswith(ADVICE)
+        return self.clause if self.fmi == 2 or is_advice else f"FMI 3.0.2, {self.clause}"
+
+    def of_version(self, fmi: int) -> "Rule | None":
+        """Returns the rule with clause and claim of a version of FMI; None if it is of others alone."""
+        if fmi == 2:
+            return None if self.module.endswith(".fmi3") else self
+        clause = clauses_of(self.name, fmi) or (self.clause if self.name in rule_table()["both"] else "")
+        claim = rule_table()["claims_of_fmi3"].get(self.name) or names_of_fmi3(self.claim)
+        return replace(self, clause=clause, claim=claim, fmi=3) if clause else None
+
+
+_TYPES = "Real", "Integer", "Boolean", "String"
+_ENTER = "fmi2EnterInitializationMode"
+_FUNCTION = re.compile(r"\bfmi2(?=[A-Z])")
+_RENAMED = {
+    "fmi2SetupExperiment": "fmi3EnterInitializationMode",
+    "fmi2Instantiate": "fmi3Instantiate",
+    "fmi2NewDiscreteStates": "fmi3UpdateDiscreteStates",
+    "GetRealOutputDerivatives": "GetOutputDerivatives",
+    "fmi2GetDerivatives": "fmi3GetContinuousStateDerivatives",
+    "FMUstate": "FMUState",
+    **{f"fmi2{verb}{kind}": f"fmi3{verb}{{VariableType}}" for verb in ("Get", "Set") for kind in _TYPES},
+    "DeSerialize": "Deserialize",
+    "newDiscreteStatesNeeded": "discreteStatesNeedUpdate",
+    "GUID": "instantiationToken",
+}
+
+
+def names_of_fmi3(text: str) -> str:
+    """Returns a text about FMI 2.0 with the names that its functions have in FMI 3.0."""
+    for old, new in _RENAMED.items():
+        text = text.replace(old, new)
+    return _FUNCTION.sub("fmi3", text)
 
 
 IS_BROKEN = " is broken"
@@ -68,9 +109,6 @@ IS_BROKEN = " is broken"
 CANNOT_LOAD = "this machine cannot load the library"
 """At the begin of the reason why no behaviour is judged on this machine."""
 
-
-SCHEMA = "schema"
-"""The rule of the description that is judged of FMI 3.0 too."""
 
 RANDOM = "the outputs are random"
 """Reason why no behaviour is judged, of an FMU whose runs cannot be compared."""
@@ -229,7 +267,7 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 
 
 MODULES = (
-    "archive", "files", "description", "variables", "structure",
+    "archive", "files", "description", "variables", "structure", "fmi3",
     "lifecycle", "calls", "value", "setting", "step",
     "environment", "messages", "state", "derivatives", "effects", "events", "continuous_time",
 )  # fmt: skip
@@ -242,6 +280,27 @@ def registered(stage: Stage) -> tuple[Rule, ...]:
     modules = [import_module(f"fmus.compliance.rules.{name}").__name__ for name in MODULES]
     rules = (rule for rule in RULES.values() if rule.stage is stage)
     return tuple(sorted(rules, key=lambda rule: modules.index(rule.module)))
+
+
+def of_fmi3(result: Result) -> Result:
+    """Returns a result of behaviour with the names of functions in FMI 3.0.
+
+    It has no programs, which call functions of FMI 2.0.
+    """
+    # fmi3EnterInitializationMode has the arguments of fmi2SetupExperiment, which stands before it
+    shown = {
+        names_of_fmi3(message): Shown(
+            tuple(names_of_fmi3(call) for call in one.calls if not call.endswith(f"{_ENTER}()"))
+        )
+        for message, one in result.shown.items()
+    }
+    reasons = {name: names_of_fmi3(getattr(result, name)) for name in ("not_applicable", "not_judged")}
+    return replace(result, messages=tuple(map(names_of_fmi3, result.messages)), shown=shown, **reasons)
+
+
+def of_version(rules: Iterable[Rule], fmi: int) -> tuple[Rule, ...]:
+    """Returns the rules of a version of the standard, with their clauses in it."""
+    return tuple(rule for known in rules if (rule := known.of_version(fmi)))
 
 
 def all_rules() -> tuple[Rule, ...]:

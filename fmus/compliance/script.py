@@ -257,6 +257,7 @@ class Script:
                 # a step for model exchange is many calls
                 if status and self.probe.fmu.is_model_exchange:
                     reply.state = _MODES.get(mode, reply.state)
+                if status and (self.probe.fmu.is_model_exchange or self.probe.fmu.fmi == 3):
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
                 reply.status, reply.changed, reply.printed = int(status), changed or (), int(printed)
                 reply.messages = tuple(Message(*message) for message in messages)

@@ -1,7 +1,7 @@
-"""The sentences of FMI 2.0.5 that bind an FMU, each with the rules that check it or why none does.
+"""The sentences of FMI 2.0.5 and 3.0.2 that bind an FMU, each with the rules that check it or why none does.
 
-The data are the TOML files in `sentences/`: one for each section of the standard, in its order, with a table
-for each clause, and `rules.toml` with the level of each rule.
+The data are the TOML files in `sentences/`: one for each section of FMI 2.0.5, in its order, with a table
+for each clause; `fmi3.toml` with the clauses of FMI 3.0.2; and `rules.toml` with the level of each rule.
 """
 
 import tomllib
@@ -14,6 +14,7 @@ from typing import Any
 _FOLDER = resources.files("fmus.compliance") / "sentences"
 NO_DEMANDS = {
     "should": "the sentence says should",
+    "may": "the sentence permits it",
     "note": "it stands in an informative note",
     "importer": "it binds the importer",
     "explanation": "it explains",
@@ -37,9 +38,10 @@ class Sentence:
 
 
 @cache
-def _tables() -> Mapping[str, Mapping[str, Any]]:
+def _tables(fmi: int) -> Mapping[str, Mapping[str, Any]]:
     """Returns heading of a clause -> sentence -> its rules, or a table with the fields of `Sentence`."""
     paths = sorted((path for path in _FOLDER.iterdir() if path.name[0].isdigit()), key=lambda p: p.name)
+    paths = paths if fmi == 2 else [_FOLDER / "fmi3.toml"]
     return {
         heading: entries
         for path in paths
@@ -49,7 +51,7 @@ def _tables() -> Mapping[str, Mapping[str, Any]]:
 
 @cache
 def rule_table() -> Mapping[str, Any]:
-    """Returns `rules.toml`: level -> rule -> reason, and the lists "off" and "pythonfmu" of rules."""
+    """Returns `rules.toml`: level -> rule -> reason, and the lists "off", "both" and "pythonfmu" of rules."""
     return tomllib.loads((_FOLDER / "rules.toml").read_text(encoding="utf-8"))
 
 
@@ -61,11 +63,11 @@ def levels() -> dict[str, tuple[str, str]]:
 
 
 @cache
-def sentences() -> tuple[Sentence, ...]:
-    """Returns all sentences, in the order of the standard."""
+def sentences(fmi: int = 2) -> tuple[Sentence, ...]:
+    """Returns all sentences of a version of the standard, in its order."""
     return tuple(
         _sentence(heading.split()[0], text, entry)
-        for heading, entries in _tables().items()
+        for heading, entries in _tables(fmi).items()
         for text, entry in entries.items()
     )
 
@@ -76,11 +78,18 @@ def _sentence(clause: str, text: str, entry: Any) -> Sentence:
 
 
 @cache
-def titles() -> dict[str, str]:
+def titles(fmi: int = 2) -> dict[str, str]:
     """Returns clause -> its title in the standard, of every clause that holds sentences."""
-    return {clause: title for clause, _, title in (heading.partition(" ") for heading in _tables())}
+    return {clause: title for clause, _, title in (heading.partition(" ") for heading in _tables(fmi))}
 
 
-def sentences_of(rule_name: str) -> tuple[Sentence, ...]:
+def sentences_of(rule_name: str, fmi: int = 2) -> tuple[Sentence, ...]:
     """Returns the sentences that a rule checks; none for advice."""
-    return tuple(sentence for sentence in sentences() if rule_name in sentence.rules)
+    return tuple(sentence for sentence in sentences(fmi) if rule_name in sentence.rules)
+
+
+@cache
+def clauses_of(rule_name: str, fmi: int) -> str:
+    """Returns the clauses of the sentences that a rule checks, with their titles, or ""."""
+    clauses = dict.fromkeys(sentence.clause for sentence in sentences_of(rule_name, fmi))
+    return ", ".join(f"{clause} {titles(fmi)[clause]}" for clause in clauses)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -37,10 +38,15 @@ def start_value(v: Variable) -> Any:
         return text
     if v.base_kind == "Boolean":
         return _TRUE.get(text.strip())
-    value = v.number("start") if v.typed.get("start") == text else None
+    value = _held(v, v.number("start")) if v.typed.get("start") == text else None
     if v.base_kind != "Integer":
         return value
     return int(value) if value is not None and _is_integer_of_fmi(value) else None
+
+
+def _held(v: Variable, value: float | None) -> float | None:
+    """Returns a value as the variable holds it, in single or double precision."""
+    return value if value is None or not v.is_single else struct.unpack("f", struct.pack("f", value))[0]
 
 
 def start_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
@@ -66,7 +72,8 @@ def other_value(v: Variable, part: float = _PART) -> Any:
     change = part * max(abs(start), v.nominal or 1.0)
     span = [x for x in (v.number("max"), v.number("min")) if x is not None]
     change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
-    return next((x for x in (start + change, start - change) if _within(v, x) and x != start), None)
+    near = (_held(v, x) for x in (start + change, start - change))
+    return next((x for x in near if x is not None and _within(v, x) and x != start), None)
 
 
 def far_values(v: Variable) -> list[Any]:
@@ -90,7 +97,7 @@ def far_values(v: Variable) -> list[Any]:
     # some tools state a limit such as 1e-60 for "above 0"
     values = [x for x in values if x == 0.0 or abs(x) > _TINY * abs(start)]
     meant = [x for x in values if v.causality == "input" or x * start >= 0.0 or x in (v.low, v.high)]
-    return [x for x in meant if _within(v, x) and x != start]
+    return [x for x in (_held(v, x) for x in meant) if x is not None and _within(v, x) and x != start]
 
 
 def read_value(value: Any) -> Any:
@@ -146,7 +153,7 @@ def references_of(variables: Iterable[Variable]) -> list[int]:
 
 def unknown_reference(fmu: FmuFile) -> int:
     """Returns a value reference far from the variables': some without an entry may lie between."""
-    used = {v.reference or 0 for v in fmu.variables}
+    used = {v.reference or 0 for v in fmu.variables} | {element.reference for element in fmu.elements or ()}
     far = max(used, default=0) + 1000
     return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 

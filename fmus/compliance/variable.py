@@ -1,4 +1,7 @@
-"""A ScalarVariable of the XML, with the defaults of FMI 2.0.5, 2.2.7; wrong attributes raise no error."""
+"""A variable of the XML, with the defaults of FMI 2.0.5, 2.2.7, or of FMI 3.0.2, 2.4.7.4.
+
+Wrong attributes raise no error.
+"""
 
 import math
 import tomllib
@@ -11,16 +14,24 @@ from typing import Any
 from fmus.fmi.variable_types import TRANSFER_TYPE
 
 _TABLE = resources.files("fmus.compliance") / "sentences" / "initial.toml"
-# (causality, variability) -> values that `initial` may have, the default first
+_PAIRS = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
+# version of FMI -> (causality, variability) -> values that `initial` may have, the default first
 INITIAL = {
-    tuple(pair.split()): tuple(values.split())
-    for pair, values in tomllib.loads(_TABLE.read_text(encoding="utf-8")).items()
+    fmi: {
+        tuple(pair.split()): tuple(values.split())
+        for pair, values in (_PAIRS["both"] | _PAIRS[f"fmi{fmi}"]).items()
+    }
+    for fmi in (2, 3)
 }
 
 
 @dataclass(frozen=True)
 class Variable:
-    """index: place in the list from 1, as ModelStructure counts; items: values of its enumeration."""
+    """A variable, of FMI 2.0 unless it is a `Variable3`.
+
+    index: place in the list from 1, as ModelStructure of FMI 2.0 counts; items: values of its enumeration
+    element: of the XML, in FMI 3.0
+    """
 
     index: int
     attributes: Mapping[str, str]
@@ -28,6 +39,8 @@ class Variable:
     typed: Mapping[str, str]
     declared: Mapping[str, str]
     items: frozenset[int] = frozenset()
+    element: Any = None
+    fmi = 2
 
     @cached_property
     def name(self) -> str:
@@ -36,7 +49,7 @@ class Variable:
     @property
     def legal_initial(self) -> tuple[str, ...] | None:
         """Legal values of `initial`, the default first; None if `is_legal_pair` is false."""
-        return INITIAL.get((self.causality, self.variability))
+        return INITIAL[self.fmi].get((self.causality, self.variability))
 
     @property
     def is_legal_pair(self) -> bool:
@@ -99,11 +112,60 @@ class Variable:
         return self.typed.get("start")
 
     @property
+    def starts(self) -> list[str]:
+        """The start values: one for each element of an array, or one for all."""
+        return [] if self.start is None else [self.start]
+
+    @property
+    def is_single(self) -> bool:
+        """Whether FMI 3.0 transfers it in single precision."""
+        return self.typed.get("single") == "true"
+
+    @property
     def is_settable(self) -> bool:
         """Can be set by fmi2SetXXX before or in initialization mode."""
         return self.causality == "input" or (
             self.variability != "constant" and self.initial in ("exact", "approx")
         )
+
+
+_PARAMETERS = ("parameter", "calculatedParameter", "structuralParameter")
+
+
+@dataclass(frozen=True)
+class Variable3(Variable):
+    """A variable of FMI 3.0, perhaps an array."""
+
+    fmi = 3
+
+    @cached_property
+    def variability(self) -> str:
+        is_real = self.base_kind == "Real"
+        default = "fixed" if self.causality in _PARAMETERS else "continuous" if is_real else "discrete"
+        return self.attributes.get("variability", default)
+
+    @property
+    def legal_initial(self) -> tuple[str, ...] | None:
+        # a Clock has no attribute initial
+        return () if self.kind == "Clock" else super().legal_initial
+
+    @cached_property
+    def base_kind(self) -> str:
+        """The type of FMI 2.0 that is like it."""
+        return "Real" if self.kind.startswith("Float") else "Integer" if "Int" in self.kind else self.kind
+
+    @property
+    def start(self) -> str | None:
+        return next(iter(self.starts), None)
+
+    @property
+    def starts(self) -> list[str]:
+        values = [start.get("value", "") for start in self.element.iterfind("Start")]
+        return values or self.typed.get("start", "").split()
+
+    def references(self, attribute: str) -> list[int | None]:
+        """Returns the value references in an attribute."""
+        return [integer(text) for text in self.attributes.get(attribute, "").split()]
 
 
 _NONE = Variable(0, {}, "", {}, {})
@@ -127,12 +189,14 @@ class Unknown:
 
     @property
     def is_initial(self) -> bool:
-        return self.section == "InitialUnknowns"
+        return self.section.startswith("InitialUnknown")
 
     @property
     def where(self) -> str:
-        v, index = self.variable, self.element.get("index")
-        return f"{self.section}, unknown {v.name} ({index})" if v.index else f"{self.section}, index {index}"
+        index, reference = self.element.get("index"), self.element.get("valueReference")
+        if self.variable.index:
+            return f"{self.section}, unknown {self.variable.name} ({index or reference})"
+        return f"{self.section}, index {index}" if index else f"{self.section}, value reference {reference}"
 
     @cached_property
     def indices(self) -> frozenset[int | None]:

@@ -28,6 +28,8 @@ ELEMENTS = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.
 # fmi2Boolean, then fmi2Type
 _FALSE, _TRUE = 0, 1
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
+# uses of an instance of FMI 3.0, as in fmi3_calls.c
+EXAMINED, EVENT_MODE, EARLY_RETURN = 1, 2, 4
 
 
 def element_type(transfer_type: str) -> Any:
@@ -137,6 +139,7 @@ class Library:
     """
 
     instantiates = "fmi2Instantiate"
+    fmi = 2  # version of the standard
 
     def __init__(self, path: Path, interface: int = CO_SIMULATION, optional: Collection[str] = ()) -> None:
         # By its absolute path, the system also finds the libraries that it needs: the working directory,

@@ -14,7 +14,16 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import ExportError, FmuLoadError
-from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, Library, declare, signatures
+from fmus.fmi.binding import (
+    CO_SIMULATION,
+    EARLY_RETURN,
+    EVENT_MODE,
+    EXAMINED,
+    MODEL_EXCHANGE,
+    Library,
+    declare,
+    signatures,
+)
 from fmus.fmi.callbacks import Callbacks, log_message
 from fmus.fmi.fmi3_description import TYPES
 from fmus.fmi.model_description import Element
@@ -22,14 +31,19 @@ from fmus.native import compiled_library
 
 _SOURCE = "fmi3_calls.c"
 _OF_INTERFACE = {
-    CO_SIMULATION: "DoStep",
-    MODEL_EXCHANGE: "EnterEventMode EnterContinuousTimeMode SetTime CompletedIntegratorStep "
+    CO_SIMULATION: "DoStep EnterStepMode",
+    MODEL_EXCHANGE: "EnterContinuousTimeMode SetTime CompletedIntegratorStep "
     "GetContinuousStates SetContinuousStates GetContinuousStateDerivatives GetEventIndicators "
-    "GetNominalsOfContinuousStates UpdateDiscreteStates",
+    "GetNominalsOfContinuousStates",
+}
+_UNUSED = {  # functions that runs do without
+    CO_SIMULATION: "SetDebugLogging EnterEventMode UpdateDiscreteStates EnterStepMode",
+    MODEL_EXCHANGE: "SetDebugLogging",
 }
 _COMMON = (
     "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset GetFMUState SetFMUState"
-    " FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState"
+    " FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState SetDebugLogging"
+    " EnterEventMode UpdateDiscreteStates"
 )
 # in the order of `Functions` of the source
 _FUNCTIONS = (
@@ -56,17 +70,28 @@ class Fmi3Library(Library):
 
     interface: fmi2Type, whose functions it must have
     elements: of the model description, for variables
+    is_examined: whether a check calls it, which uses more functions than a run
+    fmi: version of the standard
     Raises FmuLoadError if the functions of FMI 2.0 cannot be compiled, and the errors of `Library`.
     """
 
-    def __init__(self, path: Path, interface: int = CO_SIMULATION, elements: Sequence[Element] = ()) -> None:
+    fmi = 3
+
+    def __init__(
+        self,
+        path: Path,
+        interface: int = CO_SIMULATION,
+        elements: Sequence[Element] = (),
+        is_examined: bool = False,
+    ) -> None:
         with _loading:
             calls = _calls()
         if isinstance(calls, Exception):
             raise FmuLoadError(f"FMI 3.0 needs a library of {_SOURCE}, which a wheel has: {calls}") from calls
         self._calls, self._functions = calls, ctypes.CDLL(str(path.resolve()))
-        self.instantiates = _INSTANTIATE[interface]
+        self.instantiates, self._interface = _INSTANTIATE[interface], interface
         others = _OF_INTERFACE[MODEL_EXCHANGE if interface == CO_SIMULATION else CO_SIMULATION].split()
+        others += [] if is_examined else _UNUSED[interface].split()
         names = [self.instantiates, *(f"fmi3{name}" for name in _FUNCTIONS if name not in others)]
         if missing := [name for name in names if not hasattr(self._functions, name)]:
             self.unload()
@@ -87,14 +112,26 @@ class Fmi3Library(Library):
         self, interface: int, name: str, guid: str, resources: Path, callbacks: Callbacks, logging_on: bool
     ) -> int | None:
         environment = callbacks.structure.componentEnvironment
+        return self.created(name.encode(), guid.encode(), resources, environment, logging_on)
+
+    def created(
+        self, name: Any, token: Any, resources: Path, environment: int | None, logging_on: bool, uses: int = 0
+    ) -> int | None:
+        """Returns the address of a new instance behind the functions of FMI 2.0; None if the FMU refuses.
+
+        name, token: bytes, or buffers of them; uses: sum of `EXAMINED`, `EVENT_MODE` and `EARLY_RETURN`
+        """
         # 2.3.1: the path ends with a separator; NULL without a folder `resources`
         folder = f"{resources}{os.sep}".encode() if resources.is_dir() else None
-        # not visible; no event mode, no early return, no intermediate updates
-        arguments = name.encode(), guid.encode(), folder, False, logging_on
-        before, after = ([kind() for kind in kinds] for kinds in _FOR_ONE_INTERFACE[interface])
+        before, after = ([kind() for kind in kinds] for kinds in _FOR_ONE_INTERFACE[self._interface])
+        if before and uses > EXAMINED:
+            before[:2] = bool(uses & EVENT_MODE), bool(uses & EARLY_RETURN)
+            after = [ctypes.cast(self._calls.fmi3_update, _POINTER)]
+        # not visible
+        arguments = name, token, folder, False, logging_on
         instance = self._instantiate(*arguments, *before, environment, _log, *after)
         arrays = self._addresses.ctypes.data, self._elements.ctypes.data, len(self._elements)
-        return instance and self._calls.fmi3_behind(instance, *arrays, _log, environment)
+        return instance and self._calls.fmi3_behind(instance, *arrays, _log, environment, uses)
 
     def function_called(self, handle: ctypes.c_void_p | None, function: str) -> str:
         refused: bytes | None = self._calls.fmi3_refused(handle) if handle else None
@@ -119,6 +156,6 @@ def _calls() -> ctypes.CDLL | Exception:
     for interface in _INSTANTIATE:
         declare(calls, signatures(interface))
     calls.fmi3_behind.restype, calls.fmi3_refused.restype = _POINTER, ctypes.c_char_p
-    calls.fmi3_behind.argtypes = [_POINTER, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER]
+    calls.fmi3_behind.argtypes = [_POINTER, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER, ctypes.c_int]
     calls.fmi3_refused.argtypes = [_POINTER]
     return calls

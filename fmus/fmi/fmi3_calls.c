@@ -22,6 +22,9 @@
 /* Of the master: a value of `kind` is a double, an int (also for Booleans) or a string. */
 enum { REAL, INTEGER, TEXT };
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* of FMI 2.0 */
+/* Uses of an instance: a check of the FMU, event mode in co-simulation, early return of a step. */
+enum { EXAMINED = 1, EVENT_MODE = 2, EARLY_RETURN = 4 };
+enum { MOST_RETURNS = 1000, MOST_UPDATES = 100 }; /* of one step, of one event */
 
 /* Types with the least and the largest of the master's numbers that they hold, but for infinity. */
 #define NUMBERS(X)                                                                         \
@@ -45,9 +48,9 @@ typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *ref
 #define FUNCTIONS(X)                                                                                            \
     X(FreeInstance) X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetFMUState)   \
     X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState)        \
-    X(DoStep) X(EnterEventMode) X(EnterContinuousTimeMode) X(SetTime) X(CompletedIntegratorStep)                \
-    X(GetContinuousStates) X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetEventIndicators)        \
-    X(GetNominalsOfContinuousStates) X(UpdateDiscreteStates)
+    X(SetDebugLogging) X(EnterEventMode) X(UpdateDiscreteStates) X(DoStep) X(EnterStepMode)                     \
+    X(EnterContinuousTimeMode) X(SetTime) X(CompletedIntegratorStep) X(GetContinuousStates)                     \
+    X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetEventIndicators) X(GetNominalsOfContinuousStates)
 #define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
     FUNCTIONS(MEMBER) /* NULL for functions of the other interface */
@@ -73,6 +76,9 @@ typedef struct {
     double tolerance, start, stop;
     double reached;
     int has_reached, terminates; /* of the last step */
+    int uses;
+    double point, end, finished; /* of a step with intermediate updates: its begin and end, time of the last update */
+    const char *wrong;           /* what an update did wrong */
     const char *refused; /* the last function that returned another status than ok */
 } Instance;
 
@@ -150,6 +156,14 @@ static void keep_texts(Instance *a, size_t first, size_t count) {
     }
 }
 
+/* A reference that no variable has, as rules of a check ask for. */
+static int refer_to_none(Instance *a, int kind, int is_set, fmi3ValueReference reference) {
+    static const int64_t types[] = {Float64, Int32, String};
+    double value[2] = {0, 0};
+    const fmi3Status status = a->call->transfer[types[kind]][is_set](a->instance, &reference, 1, value, 1);
+    return noted(a, status, TYPES[types[kind]].function[is_set]);
+}
+
 static int exchange(Instance *a, const Element *e, size_t n, size_t size, int is_set) {
     const fmi3Status status = a->call->transfer[e->type][is_set](a->instance, a->references, n, a->values, size);
     return noted(a, status, TYPES[e->type].function[is_set]);
@@ -165,6 +179,8 @@ static size_t whole(const Instance *a, const uint32_t numbers[], size_t n) {
 
 static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[], size_t n, void *values) {
     int worst = fmi3OK;
+    for (size_t i = 0; i < n; i++)
+        if (numbers[i] >= a->n_elements) return refer_to_none(a, kind, is_set, numbers[i]);
     for (size_t i = 0, taken; i < n; i += taken) {
         const Element *e = a->elements + numbers[i];
         size_t n_arrays = 0, count, offset = 0, size = 0;
@@ -230,6 +246,96 @@ EXPORT int fmi2EnterInitializationMode(Instance *a) {
     return noted(a, status, "fmi3EnterInitializationMode");
 }
 
+static int update_discrete_states(Instance *a, fmi3Boolean flags[5], double *next) {
+    const fmi3Status status = a->call->UpdateDiscreteStates(a->instance, flags, flags + 1, flags + 2, flags + 3,
+                                                            flags + 4, next);
+    return noted(a, status, "fmi3UpdateDiscreteStates");
+}
+
+/* 2.3.5: from event mode to step mode, as the importer does it. */
+static int handle_event(Instance *a) {
+    fmi3Boolean flags[5] = {fmi3True};
+    double next = 0;
+    int status = fmi3OK;
+    for (int i = 0; is_done(status) && flags[0]; i++) {
+        flags[0] = fmi3False;
+        if (i == MOST_UPDATES) return refuse(a, "fmi3UpdateDiscreteStates", "discreteStatesNeedUpdate stays true");
+        status = update_discrete_states(a, flags, &next);
+    }
+    return is_done(status) ? noted(a, a->call->EnterStepMode(a->instance), "fmi3EnterStepMode") : status;
+}
+
+static Instance *stepping; /* with intermediate updates; a check makes one step at a time */
+
+/* 4.2.2: the time is in the step, and not before an update that finished one of the FMU's own steps. */
+EXPORT void fmi3_update(fmi3InstanceEnvironment environment, double t, bool set_requested, bool get_allowed,
+                        bool step_finished, bool can_return, bool *return_requested, double *return_time) {
+    Instance *a = stepping;
+    const double slack = a ? 1e-9 * (fabs(a->point) + fabs(a->end)) : 0;
+    (void)set_requested, (void)get_allowed;
+    *return_requested = can_return && a && t > a->point + slack;
+    *return_time = t;
+    if (!a) return;
+    if (a->environment != environment) a->wrong = "an intermediate update has the environment of another instance";
+    if (t < a->point - slack || t > a->end + slack) a->wrong = "the time of an intermediate update is not in the step";
+    if (t < a->finished - slack) a->wrong = "the time of an intermediate update is before a step that was finished";
+    if (step_finished) a->finished = t;
+}
+
+/* 4.2.1: one call of fmi3DoStep of an FMU under examination, which writes each result. */
+static int part_of_step(Instance *a, double t, double end, int no_return_before, int *needs_event, int *is_early) {
+    static const char *const function = "fmi3DoStep";
+    unsigned char unwritten[3] = {2, 2, 2};
+    bool flags[3];
+    const double slack = 1e-9 * (fabs(t) + fabs(end));
+    double reached = NAN;
+    fmi3Status status;
+    memcpy(flags, unwritten, sizeof flags);
+    a->point = a->finished = t;
+    a->end = end;
+    a->wrong = NULL;
+    stepping = a;
+    status = a->call->DoStep(a->instance, t, end - t, no_return_before, flags, flags + 1, flags + 2, &reached);
+    stepping = NULL;
+    a->has_reached = a->terminates = 0;
+    if (!is_done(status)) return noted(a, status, function);
+    memcpy(unwritten, flags, sizeof flags);
+    if (a->wrong) return refuse(a, "the callback of fmi3IntermediateUpdate", a->wrong);
+    if (isnan(reached)) return refuse(a, function, "lastSuccessfulTime was not written");
+    if (unwritten[0] > 1) return refuse(a, function, "eventHandlingNeeded was not written");
+    if (unwritten[1] > 1) return refuse(a, function, "terminateSimulation was not written");
+    if (unwritten[2] > 1) return refuse(a, function, "earlyReturn was not written");
+    *needs_event = unwritten[0];
+    *is_early = unwritten[2];
+    a->terminates = unwritten[1];
+    a->has_reached = 1;
+    a->reached = reached;
+    if (*is_early && !(a->uses & EARLY_RETURN))
+        return refuse(a, function, "earlyReturn is true: expected false, as it is not allowed");
+    if (*needs_event && !(a->uses & EVENT_MODE))
+        return refuse(a, function, "eventHandlingNeeded is true: expected false, as no event mode is used");
+    /* An FMU may be late, as its own steps have another size. */
+    if (*is_early && reached < t - (end - t)) return refuse(a, function, "lastSuccessfulTime lies before the step");
+    if (reached > end - slack) *is_early = 0; /* nothing is left of the step */
+    return a->terminates ? noted(a, fmi3Discard, function) : status;
+}
+
+static int examined_step(Instance *a, double start, double size, int no_return_before) {
+    double t = start;
+    int status = fmi3OK, needs_event = 0, is_early = 0;
+    for (int i = 0; i < MOST_RETURNS; i++) {
+        status = part_of_step(a, t, start + size, no_return_before, &needs_event, &is_early);
+        if (!is_done(status)) return status;
+        if (needs_event) {
+            status = noted(a, a->call->EnterEventMode(a->instance), "fmi3EnterEventMode");
+            status = is_done(status) ? handle_event(a) : status;
+        }
+        if (!is_done(status) || !is_early) return status;
+        t = a->reached;
+    }
+    return refuse(a, "fmi3DoStep", "earlyReturn is true again and again in one step");
+}
+
 /* 4.2.1. A step that ends the simulation is discarded in FMI 2.0 (2.0.5, 4.2.3). */
 EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_before_start) {
     static const char *const function = "fmi3DoStep";
@@ -237,7 +343,9 @@ EXPORT int fmi2DoStep(Instance *a, double start, double size, int no_return_befo
     const double end = start + size, slack = 1e-3 * size; /* an FMU may add up its internal steps */
     fmi3Float64 reached = end, least = end;
     char text[160];
-    const fmi3Status status = a->call->DoStep(a->instance, start, size, no_return_before_start != 0, &needs_event,
+    fmi3Status status;
+    if (a->uses & EXAMINED) return examined_step(a, start, size, no_return_before_start != 0);
+    status = a->call->DoStep(a->instance, start, size, no_return_before_start != 0, &needs_event,
                                               &terminates, &is_early, &reached);
     a->terminates = is_done(status) && terminates;
     a->has_reached = is_done(status);
@@ -268,10 +376,19 @@ EXPORT int fmi2GetBooleanStatus(Instance *a, int kind, int *value) {
     return fmi3OK;
 }
 
+EXPORT int fmi2ExitInitializationMode(Instance *a) {
+    const fmi3Status status = a->call->ExitInitializationMode(a->instance);
+    noted(a, status, "fmi3ExitInitializationMode");
+    return a->uses & EVENT_MODE && is_done(status) ? handle_event(a) : status;
+}
+
+EXPORT int fmi2SetDebugLogging(Instance *a, int is_on, size_t n, const fmi3String categories[]) {
+    return noted(a, a->call->SetDebugLogging(a->instance, is_on != 0, n, categories), "fmi3SetDebugLogging");
+}
+
 /* Functions that differ in their names alone. */
 #define SAME(Old, Name, declared, passed) \
     EXPORT int fmi2##Old declared { return noted(a, a->call->Name passed, "fmi3" #Name); }
-SAME(ExitInitializationMode, ExitInitializationMode, (Instance * a), (a->instance))
 SAME(Terminate, Terminate, (Instance * a), (a->instance))
 SAME(Reset, Reset, (Instance * a), (a->instance))
 SAME(GetFMUstate, GetFMUState, (Instance * a, fmi3FMUState *state), (a->instance, state))
@@ -308,12 +425,11 @@ typedef struct {
 } EventInfo; /* as fmi2EventInfo */
 
 EXPORT int fmi2NewDiscreteStates(Instance *a, EventInfo *info) {
-    fmi3Boolean is_needed = fmi3False, ends = fmi3False, nominals = fmi3False, states = fmi3False, has_next = fmi3False;
-    fmi3Float64 next = 0;
-    const fmi3Status status =
-        a->call->UpdateDiscreteStates(a->instance, &is_needed, &ends, &nominals, &states, &has_next, &next);
-    *info = (EventInfo){is_needed, ends, nominals, states, has_next, next};
-    return noted(a, status, "fmi3UpdateDiscreteStates");
+    fmi3Boolean flags[5] = {fmi3False};
+    double next = 0;
+    const int status = update_discrete_states(a, flags, &next);
+    *info = (EventInfo){flags[0], flags[1], flags[2], flags[3], flags[4], next};
+    return status;
 }
 
 /* Of this file */
@@ -333,10 +449,11 @@ EXPORT void fmi2FreeInstance(Instance *a) {
 
 /* NULL without memory, and then `instance` is not freed. */
 EXPORT Instance *fmi3_behind(fmi3Instance instance, const Functions *call, const Element *elements, size_t n_elements,
-                             fmi3LogMessageCallback log, fmi3InstanceEnvironment environment) {
+                             fmi3LogMessageCallback log, fmi3InstanceEnvironment environment, int uses) {
     Instance *a = malloc(sizeof *a);
     if (!a) return NULL;
     *a = (Instance){instance, call, elements, n_elements, log, environment};
+    a->uses = uses;
     a->references = calloc(n_elements + 1, sizeof *a->references);
     a->values = calloc(n_elements + 1, sizeof(double));
     a->texts = calloc(n_elements + 1, sizeof *a->texts);

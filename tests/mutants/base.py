@@ -1,4 +1,4 @@
-"""A legal FMU of sources that uses most of what a model description can hold, and changed copies of it."""
+"""Legal FMUs of sources that use most of what a model description can hold, and changed copies of them."""
 
 import zipfile
 from collections.abc import Mapping
@@ -10,6 +10,15 @@ _DESCRIPTION = (Path(__file__).parent / "base.xml").read_text(encoding="utf-8")
 _MODEL_EXCHANGE = _DESCRIPTION[_DESCRIPTION.index("  <ModelExchange") : _DESCRIPTION.index("  <CoSimulation")]
 _SOURCE = b'#define FMI2_FUNCTION_PREFIX Base_\n#include "fmi2Functions.h"\n'
 BASE: Members = {XML: _DESCRIPTION.encode(), "sources/base.c": _SOURCE, "sources/exchange.c": _SOURCE}
+_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration modelIdentifier="Fmi3"><SourceFileSet>
+<SourceFile name="fmi3.c"/></SourceFileSet></BuildConfiguration></fmiBuildDescription>
+"""
+BASE_3: Members = {
+    XML: (Path(__file__).parent / "fmi3.xml").read_bytes(),
+    "sources/fmi3.c": b"",
+    "sources/buildDescription.xml": _BUILD.encode(),
+}
 
 
 def replaced(text: str, old: str, new: str) -> str:
@@ -19,12 +28,12 @@ def replaced(text: str, old: str, new: str) -> str:
     return text.replace(old, new)
 
 
-def changed(*replacements: tuple[str, str]) -> Members:
-    """The base with replacements in its model description, one after the other."""
-    text = _DESCRIPTION
+def changed(*replacements: tuple[str, str], base: Members = BASE) -> Members:
+    """A base with replacements in its model description, one after the other."""
+    text = base[XML].decode()
     for old, new in replacements:
         text = replaced(text, old, new)
-    return BASE | {XML: text.encode()}
+    return base | {XML: text.encode()}
 
 
 # what makes the base an FMU for co-simulation alone

@@ -1,5 +1,6 @@
-"""Mutants that run: slaves.toml lists them; there are two compiled slaves (behaviour.c, oscillator.c)."""
+"""Mutants that run: slaves.toml lists them; each section is one compiled FMU, such as behaviour.c."""
 
+import re
 import tomllib
 from collections.abc import Sequence
 from functools import cache, partial
@@ -16,7 +17,11 @@ from tests.mutants.listed import LISTED_MUTANTS
 from tests.mutants.mutant import Mutant
 
 _FOLDER = Path(__file__).parent
-_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+_HEADERS = (
+    *("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    *("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+)
+_CLOCKED = re.compile(r' *<(?:Clock |Float64 name="(?:sample|last)"|ClockedState).*\n')  # which is not judged
 _SLAVES = tomllib.loads((_FOLDER / "slaves.toml").read_text(encoding="utf-8"))
 CHANGES: dict[str, list[tuple[str, str]]] = _SLAVES["Behaviour"]["changes"]
 EXCHANGE_CHANGES: dict[str, list[tuple[str, str]]] = _SLAVES["Exchange"]["changes"]
@@ -37,21 +42,27 @@ def write_slave(
     flags: str = "",
     changes: Sequence[tuple[str, str]] = (),
     slave: str = "Behaviour",
+    is_clocked: bool = False,
 ) -> Path:
-    """The slave with a mutation; changes: of its model description. Without a mutation it is legal."""
+    """The slave with a mutation; changes: of its model description. Without a mutation it is legal.
+
+    is_clocked: whether it keeps its clock
+    """
     xml = (_FOLDER / f"{slave.lower()}.xml").read_text("utf-8")
+    fmi = 3 if 'fmiVersion="3.0"' in xml else 2
+    xml = xml if is_clocked else _CLOCKED.sub("", xml)
     for old, new in changes:
         xml = replaced(xml, old, new)
     members = {
         "modelDescription.xml": xml.encode(),
-        library_name(slave, host_platform()): _library(slave),
+        library_name(slave, host_platform(), fmi): _library(slave),
         "resources/mutation.txt": f"{mutation}\n{flags}\n".encode(),
     }
     return written(members, folder, f"{slave}.fmu")
 
 
 def _mutant(slave: str, name: str, clause: str, rules: str, flags: str = "") -> Mutant:
-    own = _SLAVES[slave]["changes"]
+    own = _SLAVES[slave].get("changes", {})
     changes = own.get(name, own.get(flags, ()))
     write = partial(write_slave, mutation=name, flags=flags, changes=changes, slave=slave)
     return Mutant(name, clause, frozenset(rules.split()), write, is_static=False)

@@ -13,6 +13,7 @@ from fmus.compliance.library_reader import Library, no_library, start_reading
 from fmus.compliance.rows import add_rows, anything, row
 from fmus.compliance.rule import IS_BROKEN, NotJudgedError, Stage, repeated, rule
 from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, platform_name, signatures
+from fmus.platforms import FMPY
 
 CLAUSE = "2.3 FMU Distribution"
 _TOP = (
@@ -129,6 +130,7 @@ _MACHINES = {
     "win64": "PE X86_64", "win32": "PE X86", "x86_64-windows": "PE X86_64", "aarch64-windows": "PE ARM64",
     "darwin64": "MACHO X86_64", "x86_64-darwin": "MACHO X86_64", "aarch64-darwin": "MACHO ARM64",
 }  # fmt: skip
+_DECLARED = re.compile(r"^FMI3_Export +\w+ +(fmi3\w+);", re.MULTILINE)
 _TYPES = {"CoSimulation": CO_SIMULATION, "ModelExchange": MODEL_EXCHANGE}
 
 
@@ -170,7 +172,12 @@ def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
 
 
 def _missing_functions(library: Library, fmu: FmuFile) -> str:
-    """Returns the missing functions of the interfaces whose modelIdentifier is the name of the library."""
+    """Returns the missing functions of the interfaces whose modelIdentifier is the name of the library, or in
+    FMI 3.0 of all interfaces.
+    """
+    if fmu.is_fmi3:
+        header = (FMPY / "c-code" / "fmi3Functions.h").read_text(encoding="utf-8")
+        return ", ".join(sorted({*_DECLARED.findall(header)} - library.exports))
     identifier = posixpath.basename(library.path).rpartition(".")[0]
     kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
     expected = {name for kind in kinds for name in signatures(_TYPES[kind])}

@@ -6,9 +6,16 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
-from fmus.compliance.fmu_file import C_IDENTIFIER, DESCRIPTION, FmuFile, fmpy_problems, schema_errors
+from fmus.compliance.fmu_file import (
+    C_IDENTIFIER,
+    CO_SIMULATION,
+    DESCRIPTION,
+    MODEL_EXCHANGE,
+    FmuFile,
+    schema_errors,
+)
 from fmus.compliance.rows import add_rows, anything, elements, repeats, row
-from fmus.compliance.rule import SCHEMA, Stage, repeated, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.rules.archive import unreadable
 from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
 from fmus.compliance.variable import Variable, integer, is_true, number
@@ -40,7 +47,8 @@ _DISPLAYED = {  # factor and offset of a display unit: it shows factor value + o
     "bar of Pa": (1e-5, 0.0), "kPa of Pa": (1e-3, 0.0), "MPa of Pa": (1e-6, 0.0), "kW of W": (1e-3, 0.0),
     "min of s": (1 / 60, 0.0), "h of s": (1 / 3600, 0.0), "ms of s": (1e3, 0.0), "l of m3": (1e3, 0.0),
 }  # fmt: skip
-_TYPE_NAMES, _ITEM = "TypeDefinitions/SimpleType/@name", "TypeDefinitions/SimpleType/Enumeration/Item"
+_TYPE_NAMES, _ITEM = "TypeDefinitions/*/@name", "TypeDefinitions//Item"
+_INTERFACES = {2: (MODEL_EXCHANGE, CO_SIMULATION), 3: (MODEL_EXCHANGE, CO_SIMULATION, "ScheduledExecution")}
 
 
 @rule("2.2", Stage.FILE, condition=unreadable)
@@ -57,10 +65,8 @@ def fmi_version(fmu: FmuFile) -> Iterable[str]:
 
 
 def _schema_problems(fmu: FmuFile) -> list[str]:
-    """Returns the errors by the schema; of FMI 3.0, without any, what FMPy finds."""
-    errors = schema_errors(fmu.root, f"fmi{fmu.version[:1]}/fmi{fmu.version[:1]}ModelDescription.xsd")
-    found = [f"line {error.line}: {error.message}" for error in errors]
-    return found or ([f"FMPy: {problem}" for problem in fmpy_problems(fmu.path)] if fmu.is_fmi3 else [])
+    errors = schema_errors(fmu.root, f"fmi{fmu.fmi}/fmi{fmu.fmi}ModelDescription.xsd")
+    return [f"line {error.line}: {error.message}" for error in errors]
 
 
 def _owner(element: Any, _: FmuFile | None = None) -> str:
@@ -107,6 +113,11 @@ def _stating(*attributes: str) -> Callable[[FmuFile], Iterator[Variable]]:
 _using_units, _limited = _stating("unit", "displayUnit"), _stating("min", "max", "nominal")
 
 
+def _is_claimed(interface: Any, flag: str, fmu: FmuFile) -> bool:
+    """Whether an interface has a flag, whose letter S is small in FMI 2.0."""
+    return is_true(interface.get(flag.format("sS"[fmu.is_fmi3])))
+
+
 def _unit_problem(v: Variable, fmu: FmuFile) -> str:
     unit, display = v.get("unit"), v.get("displayUnit")
     if unit is None:
@@ -128,22 +139,28 @@ def _wrong_display_unit(display: Any, _: FmuFile) -> str:
     stated = [number(display.get(name, default)) or 0.0 for name, default in pairs]
     known = _DISPLAYED.get(f"{display.get('name')} of {unit}")
     # `unit-factors` reports a factor of 0
-    if not known or not stated[0] or all(map(partial(math.isclose, rel_tol=_ROUNDED), stated, known)):
+    if (
+        not known
+        or not stated[0]
+        or is_true(display.get("inverse"))
+        or all(map(partial(math.isclose, rel_tol=_ROUNDED), stated, known))
+    ):
         return ""
     got, expected = (f"factor {factor:g} and offset {offset:g}" for factor, offset in (stated, known))
     return f"{unit!r} has {got}: expected {expected}"
 
 
-def _starts_outside(v: Variable, _: FmuFile) -> bool:
-    start = number(v.start)
-    return start is not None and v.low <= v.high and not v.low <= start <= v.high
+def _starts_outside(v: Variable, _: FmuFile) -> str:
+    """Returns the first start value that is outside of the range."""
+    starts = ((text, number(text)) for text in v.starts if v.low <= v.high)
+    return next((text for text, x in starts if x is not None and not v.low <= x <= v.high), "")
 
 
 def _type_problem(v: Variable, fmu: FmuFile) -> str:
     name = v.typed["declaredType"]
     if name not in fmu.types:
         return f": declaredType {name!r} is not defined; {nearest(name, fmu.types)}"
-    tag = fmu.types[name].tag
+    tag = fmu.types[name].tag.removesuffix("Type")
     return "" if tag == v.kind else f" is {v.kind}: expected a type of that kind, got {name!r}, {tag}"
 
 
@@ -156,13 +173,13 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
             if path in (BUILD_DESCRIPTION, TERMINALS) or path.endswith("/fmi-ls-manifest.xml")
         ],
         _NOT_UTF_8),
-    row(SCHEMA, _schema_problems, (anything, "{subject}")),
+    row("schema", _schema_problems, (anything, "{subject}")),
     row("numbers-are-finite", lambda fmu: fmu.root.xpath(_NUMBERS),
         (lambda text, _: [text.getparent()],
          "line {value[0].sourceline}: {value[0].tag} has {attrname}={subject!r}: expected a finite number")),
     row("interfaces",
-        lambda fmu: [[element.tag for element in fmu.root.iterchildren("ModelExchange", "CoSimulation")]],
-        (lambda tags, _: not tags, "neither ModelExchange nor CoSimulation: expected one of them at least"),
+        lambda fmu: [[element.tag for element in fmu.root.iterchildren(*_INTERFACES[fmu.fmi])]],
+        (lambda tags, fmu: not tags and ", ".join(_INTERFACES[fmu.fmi]), "none of {value}: expected one"),
         (lambda tags, _: ", ".join(f"{n} elements {tag}" for tag, n in repeated(tags).items()),
          "{value}: expected one")),
     row("name-and-guid-are-given", elements("."),
@@ -192,9 +209,10 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda interface, _: len(interface.get("modelIdentifier")) > _LONGEST_IDENTIFIER,
          f"{{subject.tag}} modelIdentifier {{modelIdentifier!r:.60}}: expected at most {_LONGEST_IDENTIFIER}"
          " characters")),
-    row("capabilities-agree", elements("*[@canSerializeFMUstate]"),
-        (lambda i, _: is_true(i.get("canSerializeFMUstate")) and not is_true(i.get("canGetAndSetFMUstate")),
-         "{subject.tag} has canSerializeFMUstate: expected canGetAndSetFMUstate too")),
+    row("capabilities-agree", elements("*[@canSerializeFMUstate or @canSerializeFMUState]"),
+        (lambda i, fmu: _is_claimed(i, "canSerializeFMU{}tate", fmu)
+         and not _is_claimed(i, "canGetAndSetFMU{}tate", fmu) and "sS"[fmu.is_fmi3],
+         "{subject.tag} has canSerializeFMU{value}tate: expected canGetAndSetFMU{value}tate too")),
     row("unit-names-are-unique", elements(repeats("UnitDefinitions/Unit")),
         (anything, "unit {name!r} is defined again in line {subject.sourceline}: expected once")),
     row("display-unit-names-are-unique", elements(repeats("UnitDefinitions/Unit/DisplayUnit")),
@@ -218,11 +236,11 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("nominal-is-positive", _limited,
         (lambda v, _: v.nominal <= 0, "{name}: nominal {nominal:g}: expected more than 0")),
     row("start-is-in-range", lambda fmu: fmu.variables,
-        (_starts_outside, "{name}: start {start}: expected {low:.17g}..{high:.17g}")),
+        (_starts_outside, "{name}: start {value}: expected {low:.17g}..{high:.17g}")),
     row("declared-type-fits", lambda fmu: [v for v in fmu.variables if "declaredType" in v.typed],
         (_type_problem, "{name}{value}")),
     row("enumeration-start-is-an-item", lambda fmu: [v for v in fmu.variables if v.items],
-        (lambda v, _: integer(v.start) not in {*v.items, None} and sorted(v.items),
+        (lambda v, _: {*map(integer, v.starts)} - {*v.items, None} and sorted(v.items),
          "{name}: start {start}: expected one of {value}")),
     row("enumeration-range-holds-an-item", lambda fmu: [v for v in fmu.variables if v.items],
         (lambda v, _: v.low <= v.high and not any(v.low <= x <= v.high for x in v.items) and sorted(v.items),

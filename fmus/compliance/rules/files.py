@@ -8,7 +8,7 @@ from typing import Any
 
 from fmus.compliance.fmu_file import C_IDENTIFIER, FmuFile, schema_errors
 from fmus.compliance.rows import add_rows, elements, repeats, row
-from fmus.compliance.rule import Condition, Stage, rule
+from fmus.compliance.rule import Condition, Stage, repeated, rule
 from fmus.compliance.rules.archive import CLAUSE, PLATFORM, unreadable
 from fmus.compliance.variable import is_true
 
@@ -16,9 +16,13 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 
 _EXTENSIONS = {"darwin": ".dylib", "win": ".dll", "linux": ".so"}
+_OF_FMI_2 = re.compile(r"(?:win|linux|darwin)(?:32|64)")  # which FMI 3.0 names as x86_64-linux and the like
 _OF_FMI_3 = re.compile(r"x86(?:_64)?-(?:windows|linux|darwin)")  # which FMI 2.0 names as win64 and the like
 _SOURCES = "sources/"
-_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
+_HEADERS = (
+    "fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h",
+    "fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h",
+)  # fmt: skip
 _HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other versions of FMI
     r"(?:assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|stdalign"
     r"|stdarg|stdatomic|stdbool|stddef|stdint|stdio|stdlib|stdnoreturn|string|tgmath|threads|time|uchar"
@@ -26,6 +30,7 @@ _HEADERS_OF_OTHERS = re.compile(  # of the standard library of C, and of other v
 )
 _TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
 _DEPENDENCIES, _LICENSES = "documentation/externalDependencies.", "documentation/licenses/"
+_TEXTS = {2: ("txt", "html"), 3: ("txt", "html", "spdx")}  # of licences
 _NO_PAGES = (_DEPENDENCIES, _LICENSES)  # they need no index.html
 _RESERVED = ("extra/org.modelica", "extra/org.fmi-standard")
 _LAYERED_STANDARD = re.compile(r"extra/org\.(?:modelica|fmi-standard)\.fmi-ls-[a-z0-9-]+/?")
@@ -136,7 +141,9 @@ def _compiled(fmu: FmuFile, listed: list[str]) -> dict[str, bytes]:
 
 add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
     row("platform-names", lambda fmu: fmu.platforms(),
-        (lambda folder, fmu: not PLATFORM.fullmatch(folder)
+        (lambda folder, fmu: fmu.is_fmi3 and _OF_FMI_2.fullmatch(folder),
+         "binaries/{subject}: expected a name such as x86_64-linux or aarch64-darwin"),
+        (lambda folder, fmu: (not fmu.is_fmi3 and not PLATFORM.fullmatch(folder))
          or (fmu.version == "2.0" and _OF_FMI_3.fullmatch(folder)),
          "binaries/{subject}: expected win64, linux64, darwin64, aarch64-linux or the like")),
     row("headers-of-fmi-are-left-out", lambda fmu: [*_files(fmu, _SOURCES), *_files(fmu, "binaries/")],
@@ -147,7 +154,7 @@ add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
         (lambda files, _: "documentation/index.html" not in files and ", ".join(files[:3]),
          "{value}: expected documentation/index.html, where a reader begins")),
     row("licenses-have-an-entry", lambda fmu: [_files(fmu, _LICENSES)],
-        (lambda files, _: files and not {f"{_LICENSES}license.txt", f"{_LICENSES}license.html"} & {*files},
+        (lambda files, fmu: files and not {f"{_LICENSES}license.{end}" for end in _TEXTS[fmu.fmi]} & {*files},
          "documentation/licenses/: expected license.txt or license.html, where a reader begins")),
     row("icon-is-png", lambda fmu: [fmu.read(path) for path in fmu.paths if path == "model.png"],
         (lambda content, _: not content.startswith(b"\x89PNG\r\n\x1a\n"),
@@ -181,7 +188,10 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "line {subject.sourceline}, SourceFiles lists {name}: expected a path below sources"),
         (_is_missing,
          "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive")),
-    row("sources-are-listed", lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
+    row("sources-are-listed",
+        lambda fmu: [] if fmu.libraries() and not fmu.is_fmi3 else _unlisted(fmu, _TO_COMPILE),
+        (lambda files, fmu: fmu.is_fmi3 and files[0],
+         f"{{value}}: expected {BUILD_DESCRIPTION} that lists it"),
         (lambda files, _: ", ".join(files[:3]),
          "{value}: expected SourceFiles that lists what is to be compiled")),
     row("sources-beside-a-library-are-listed", lambda fmu: _unlisted(fmu, ".c") if fmu.libraries() else [],
@@ -323,7 +333,7 @@ def _unless_there(path: str) -> Condition:
     return lambda fmu: "" if path in fmu.paths else f"there is no {path}"
 
 
-def _fmi3_errors(root: Any, path: str, schema: str) -> Iterator[str]:
+def _fmi3_errors(fmu: FmuFile, root: Any, path: str, schema: str) -> Iterator[str]:
     """Yields errors by a schema of FMI 3.0; any version may be stated, as FMI 2.0 does not say which."""
     stated = root.attrib.pop("fmiVersion", None)
     root.set("fmiVersion", "3.0")
@@ -331,13 +341,18 @@ def _fmi3_errors(root: Any, path: str, schema: str) -> Iterator[str]:
         yield f"{path}, line {error.line}: {error.message}"
     if stated is None:
         yield f"{path}, fmiVersion is missing: expected one"
+    elif fmu.is_fmi3 and stated != fmu.version:
+        yield f"{path}, fmiVersion {stated}: expected {fmu.version}, as in the model description"
 
 
 @rule(CLAUSE, Stage.DESCRIPTION, condition=_unless_there(BUILD_DESCRIPTION))
 def build_description(fmu: FmuFile) -> Iterator[str]:
     """buildDescription.xml is valid by FMI 3.0, of this model, and names files below sources."""
     root, path = fmu.parsed(BUILD_DESCRIPTION), BUILD_DESCRIPTION
-    yield from _fmi3_errors(root, path, "fmi3BuildDescription.xsd")
+    yield from _fmi3_errors(fmu, root, path, "fmi3BuildDescription.xsd")
+    fallbacks = root.xpath("BuildConfiguration[not(@platform)]/@modelIdentifier") if fmu.is_fmi3 else ()
+    for identifier, count in repeated(fallbacks).items():
+        yield f"{path}: {count} configurations of {identifier} are without platform: expected one at most"
     identifiers = _identifiers(fmu)
     for configuration in root.iterfind("BuildConfiguration"):
         identifier = configuration.get("modelIdentifier")
@@ -352,8 +367,8 @@ def build_description(fmu: FmuFile) -> Iterator[str]:
 def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
     """terminalsAndIcons.xml is valid by FMI 3.0; terminals have unique names, and variables of the FMU."""
     root = fmu.parsed(TERMINALS)
-    yield from _fmi3_errors(root, TERMINALS, "fmi3TerminalsAndIcons.xsd")
-    variables = {v.name for v in fmu.variables}
+    yield from _fmi3_errors(fmu, root, TERMINALS, "fmi3TerminalsAndIcons.xsd")
+    variables = {*(v.name for v in fmu.variables), *fmu.root.xpath("ModelVariables/*/Alias/@name")}
     for name in root.xpath(_VARIABLES_OF_TERMINALS):
         if name and name not in variables:
             yield f"{TERMINALS}: {name.attrname} {name!r}: expected the name of a variable"

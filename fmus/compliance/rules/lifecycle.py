@@ -133,7 +133,7 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
     yield from (f"{message}; {reason}" for message in different)
 
 
-@behaviour_rule("advice: 4.1.2 knows no random numbers")
+@behaviour_rule("advice: no sentence knows random numbers")
 def runs_are_not_random(probe: Probe) -> Iterator[str]:
     """Processes give the same outputs for the same calls; otherwise nothing else is judged."""
     different, is_random = _compared(probe)

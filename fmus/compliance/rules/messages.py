@@ -125,7 +125,7 @@ def _changes(probe: Probe) -> Iterator[_Change]:
     of a step is asked for, and in the default experiment; the number of bytes is printed after them.
     """
     scripts = [tour(probe).script, *generator.played(probe)]
-    if not probe.fmu.is_model_exchange:
+    if not probe.fmu.is_model_exchange and probe.fmu.fmi == 2:
         pending = do.call("status_of", "String", binding.PENDING_STATUS)
         scripts.append(do.played(probe, [do.begin, do.step(), pending], watched=True))
     with suppress(rule.NotApplicableError, rule.NotJudgedError):

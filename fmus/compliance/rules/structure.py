@@ -12,6 +12,8 @@ from fmus.compliance.variable import Unknown, Variable, integer
 _FACTORS = {"constant", "fixed", "tunable", "discrete"}
 _COMPUTED = ("approx", "calculated")
 _LATER = "an input, a continuous-time state or the independent variable"
+_WITH_KNOWNS = "Outputs", "Derivatives", "InitialUnknowns"
+_LATER_OF_FMI_3 = "an input, a state, a parameter or the independent variable"
 _DEPENDS = "{subject[0].where} depends on {subject[1].name} ({subject[1].causality})"
 
 
@@ -21,8 +23,7 @@ def _unknowns(fmu: FmuFile) -> list[Unknown]:
 
 def _knowns(unknown: Unknown, fmu: FmuFile) -> list[Variable]:
     """Returns the variables that an unknown lists as its dependencies."""
-    count = len(fmu.variables)
-    return [fmu.variables[i - 1] for i in map(integer, unknown.dependencies) if i and 1 <= i <= count]
+    return [fmu.by_key[i] for i in map(integer, unknown.dependencies) if i in fmu.by_key]
 
 
 def _factors(unknown: Unknown) -> set[str]:
@@ -36,7 +37,8 @@ def _indices(fmu: FmuFile, section: str) -> list[int]:
 
 
 def _listed(fmu: FmuFile, indices: set[int]) -> str:
-    return ", ".join(f"{fmu.variables[index - 1].name} ({index})" for index in sorted(indices))
+    listed = (fmu.variables[index - 1] for index in sorted(indices))
+    return ", ".join(f"{v.name} ({v.reference if fmu.is_fmi3 else v.index})" for v in listed)
 
 
 def _derivatives_are_ignored(fmu: FmuFile) -> bool:
@@ -49,7 +51,7 @@ def structure_indices(fmu: FmuFile) -> Iterator[str]:
     """Each Unknown is the index of a variable, once in its section."""
     for unknown in _unknowns(fmu):
         if not unknown.variable.index:
-            yield f"{unknown.where}: expected 1..{len(fmu.variables)}"
+            yield f"{unknown.where}: expected {fmu.key_words}"
     for where, count in repeated(unknown.where for unknown in _unknowns(fmu)).items():
         yield f"{where} is listed {count} times: expected once"
 
@@ -65,12 +67,13 @@ def outputs_are_listed(fmu: FmuFile) -> Iterator[str]:
 def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
     """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
     calculated parameters; no others."""
-    computed = {v.index for v in fmu.variables if v.initial in _COMPUTED}
+    clocked = {v.index for v in fmu.variables if "clocks" in v.attributes}
+    computed = {v.index for v in fmu.variables if v.initial in _COMPUTED} - clocked
     outputs = [v for v in fmu.variables if v.causality == "output"]
     expected = {v.index for v in fmu.variables if v.causality == "calculatedParameter"}
     expected |= {v.index for v in outputs} & computed
     of_states = (fmu.states | fmu.state_derivatives.keys()) & computed
-    unclear = {v.index for v in outputs if not v.is_legal_pair}
+    unclear = {v.index for v in outputs if not v.is_legal_pair} | clocked
     needed = expected if _derivatives_are_ignored(fmu) else expected | of_states
     return _difference(fmu, "InitialUnknowns", needed, expected | of_states | unclear)
 
@@ -78,40 +81,46 @@ def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
 def _difference(fmu: FmuFile, section: str, expected: set[int], allowed: set[int]) -> Iterator[str]:
     got = set(_indices(fmu, section))
     if expected - got:
-        yield f"{section} lacks {_listed(fmu, expected - got)}"
+        yield f"{fmu.section(section)} lacks {_listed(fmu, expected - got)}"
     if got - allowed:
-        yield f"{section} lists {_listed(fmu, got - allowed)}: expected it not to"
+        yield f"{fmu.section(section)} lists {_listed(fmu, got - allowed)}: expected it not to"
 
 
 @rule("2.2.8", Stage.DESCRIPTION)
 def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
     """Variables that Derivatives lists have the attribute derivative, each of another state."""
+    section = fmu.section("Derivatives")
     for index in _indices(fmu, "Derivatives"):
-        v = fmu.variables[index - 1]
-        if "derivative" not in v.typed:
-            yield f"Derivatives lists {v.name} ({index}): expected a variable with the attribute derivative"
+        if "derivative" not in fmu.variables[index - 1].typed:
+            listed = _listed(fmu, {index})
+            yield f"{section} lists {listed}: expected a variable with the attribute derivative"
     for state, count in repeated(fmu.state_derivatives.values()).items():
-        yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
+        yield f"{section} lists {count} derivatives of {_listed(fmu, {state})}: expected one"
 
 
 @rule("2.2.8", Stage.DESCRIPTION)
 def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
     """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
-    if "ModelExchange" in fmu.interfaces and fmu.root.find("ModelStructure/Derivatives") is None:
+    if "ModelExchange" in fmu.interfaces and not fmu.unknowns["Derivatives"]:
         for index, state in fmu.derivatives.items():
             is_state = state.causality in ("local", "output") and state.variability == "continuous"
             if is_state and state.initial == "exact":
                 name = fmu.variables[index - 1].name
-                yield f"no Derivatives: expected {name} there, the derivative of {state.name}"
+                section = fmu.section("Derivatives")
+                yield f"no {section}: expected {name} there, the derivative of {state.name}"
 
 
 def _unknown_dependencies(fmu: FmuFile) -> Iterator[tuple[Unknown, Variable]]:
     """Yields unknowns, each with a dependency that is not among its knowns."""
     states = _possible_states(fmu)
-    for unknown in _unknowns(fmu):
+    for unknown in (unknown for name in _WITH_KNOWNS for unknown in fmu.unknowns[name]):
         for known in _knowns(unknown, fmu):
             is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
-            is_known = is_given if unknown.is_initial else known.index in states
+            # a state of FMI 3.0 may be discrete
+            is_state = known.index in states or (
+                fmu.is_fmi3 and (known.variability == "discrete" or known.causality == "parameter")
+            )
+            is_known = is_given if unknown.is_initial else is_state
             if known.causality not in ("input", "independent") and not is_known:
                 yield unknown, known
 
@@ -136,8 +145,8 @@ def _states_among(unknown: Unknown, fmu: FmuFile) -> str:
 
 def _no_index(unknown: Unknown, fmu: FmuFile) -> str:
     indices = [(text, integer(text)) for text in unknown.dependencies]
-    others = [t for t, index in indices if index is not None and not 1 <= index <= len(fmu.variables)]
-    return f"{', '.join(others)}: expected 1..{len(fmu.variables)}" if others else ""
+    others = [text for text, index in indices if index is not None and index not in fmu.by_key]
+    return f"{', '.join(others)}: expected {fmu.key_words}" if others else ""
 
 
 def _descent(indices: Sequence[int]) -> str:
@@ -157,7 +166,8 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "{where}: dependency {value}: expected ascending indices")),
     row("dependencies-are-known", _unknown_dependencies,
         (lambda d, _: d[0].is_initial, f"{_DEPENDS}: expected an input or what has initial exact"),
-        (lambda d, fmu: not _is_parameter(d, fmu), f"{_DEPENDS}: expected {_LATER}")),
+        (lambda d, fmu: _LATER_OF_FMI_3 if fmu.is_fmi3 else not _is_parameter(d, fmu) and _LATER,
+         f"{_DEPENDS}: expected {{value}}")),
     row("dependencies-on-parameters",
         _unknown_dependencies, (_is_parameter, f"{_DEPENDS}: expected {_LATER}")),
     row("dependencies-on-states-are-provided",
@@ -172,7 +182,7 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda unknown, _: unknown.is_initial and ", ".join(sorted(_factors(unknown) - {"constant"})),
          "{where}: kind {value!r}: expected dependent or constant")),
     row("dependencies-of-reals-have-factors",
-        lambda fmu: [u for u in _unknowns(fmu) if u.variable.kind not in ("Real", "")],
+        lambda fmu: [u for u in _unknowns(fmu) if u.variable.base_kind not in ("Real", "")],
         (lambda unknown, _: ", ".join(sorted(_factors(unknown))),
          "{where} is {variable.kind} and has kind {value!r}: expected dependent")),
 ))  # fmt: skip

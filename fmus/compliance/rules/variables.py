@@ -23,6 +23,7 @@ _ELEMENT = re.compile(rf"(der\()?(.+){_INDICES}((?:,\d+)?\)?)")
 _VALUES = {"Boolean": is_true, "Real": number, "Integer": integer}
 _BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd")
 _ROUNDED = 1e-6  # relative: tools write factors with as few as seven digits
+_ALIASES = "ModelVariables/*/Alias/@name"
 _NO_LINE = re.compile(r"|.*[\r\n\t].*", re.DOTALL)  # no name by any convention
 
 
@@ -74,7 +75,7 @@ def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
 
 
 def _needs_start(v: Variable) -> bool:
-    return v.causality == "input" or v.initial in ("exact", "approx")
+    return v.kind != "Clock" and (v.causality == "input" or v.initial in ("exact", "approx"))
 
 
 def _independent(fmu: FmuFile) -> list[Variable]:
@@ -82,7 +83,8 @@ def _independent(fmu: FmuFile) -> list[Variable]:
 
 
 def _is_for_co_simulation(_: Variable, fmu: FmuFile) -> bool:
-    return "ModelExchange" not in fmu.interfaces
+    """Whether an FMU of FMI 2.0 is for co-simulation alone."""
+    return not fmu.is_fmi3 and "ModelExchange" not in fmu.interfaces
 
 
 def _unlike(expected: str, attribute: str, v: Variable, fmu: FmuFile) -> str:
@@ -158,7 +160,8 @@ def _variabilities(alias: _AliasSet, _: FmuFile) -> str:
 
 
 add_rows(__name__, Stage.DESCRIPTION, rows=(
-    row("variable-names-are-unique", lambda fmu: repeated(v.name for v in fmu.variables).items(),
+    row("variable-names-are-unique",
+        lambda fmu: repeated([*(v.name for v in fmu.variables), *fmu.root.xpath(_ALIASES)]).items(),
         (anything, "{subject[1]} variables are called {subject[0]!r}: expected one")),
     row("variable-names-are-legal", lambda fmu: [v for v in fmu.variables if "name" in v.attributes],
         (lambda v, _: _NO_LINE.fullmatch(v.attributes["name"]),
@@ -173,11 +176,11 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("quoted-names-have-legal-characters", _structured_names,
         (_outside_of_q_char, "{subject}: {value} between apostrophes: expected a character of Q-char")),
     row("causality-and-variability", lambda fmu: [v for v in fmu.variables if not v.is_legal_pair],
-        (lambda v, _: " or ".join(legal for causality, legal in INITIAL if causality == v.causality),
+        (lambda v, _: " or ".join(legal for causality, legal in INITIAL[v.fmi] if causality == v.causality),
          "{name}: causality {causality} with variability {variability}: expected {value}")),
     row("continuous-is-real",
         lambda fmu: [v for v in fmu.variables if v.variability == "continuous" and v.is_legal_pair],
-        (lambda v, _: v.kind not in ("Real", "") and v.causality != "independent" and
+        (lambda v, _: v.base_kind not in ("Real", "") and v.causality != "independent" and
          ("stated" if "variability" in v.attributes else "the default"),
          "{name} is {kind} and continuous ({value}): expected another variability")),
     row("initial-is-legal",
@@ -192,7 +195,8 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("one-independent-variable", _independent,
         (lambda _, fmu: len(_independent(fmu)) > 1 and ", ".join(v.name for v in _independent(fmu)),
          "{value} are independent: expected one at most"),
-        (lambda v, _: v.kind not in ("Real", ""), "{name} is independent and {kind}: expected Real")),
+        (lambda v, _: v.base_kind not in ("Real", "") and ("Float64" if v.fmi == 3 else "Real"),
+         "{name} is independent and {kind}: expected {value}")),
     row("time-is-independent", lambda fmu: [v for v in fmu.variables if v.name == "time"],
         (lambda _, fmu: not _independent(fmu),
          "time is {causality} and no variable is independent: expected another name")),
@@ -207,8 +211,8 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
         (lambda v, fmu: v.index not in fmu.states, "{name} has reinit: expected a continuous-time state")),
     row("derivative-is-of-a-variable", lambda fmu: [v for v in fmu.variables if "derivative" in v.typed],
         (lambda v, fmu: v.index not in fmu.derivatives,
-         "{name}: derivative {typed[derivative]}: expected another variable's index"),
-        (lambda v, fmu: _unlike("Real", "kind", v, fmu), "{name}, {value}"),
+         "{name}: derivative {typed[derivative]}: expected another variable"),
+        (lambda v, fmu: _unlike("Real", "base_kind", v, fmu), "{name}, {value}"),
         (lambda v, fmu: v.index in fmu.state_derivatives and _unlike("continuous", "variability", v, fmu),
          "{name}, {value}")),
     row("derivative-units", lambda fmu: [v for v in fmu.variables if v.index in fmu.derivatives],

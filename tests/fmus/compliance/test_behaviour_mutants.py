@@ -38,7 +38,7 @@ OSCILLATORS = (
 EXCHANGES = "", "completed steps are not needed", "a hidden value of the start"
 QUICK = (
     "steps beyond the stop time", "keeps the pointer to its name", "a changed rounding mode",
-    "the process counts its steps",
+    "the process counts its steps", "lastSuccessfulTime is not written", "a crash where it is freed",
 )  # fmt: skip
 # the beginning of a message that names the cause
 FIRST_MESSAGES = {
@@ -87,6 +87,7 @@ def test_the_first_messages_are_those_of_mutants() -> None:
 LEGAL_SLAVES = [
     *(("Behaviour", "", *row) for row in LEGAL),
     *(("Oscillator", "", flags, (), []) for flags in OSCILLATORS),
+    ("Fmi3", "", "", (), []),
     ("Oscillator", "legal formats, a new string of the version", "", (), []),
     *(("Exchange", "", flags, EXCHANGE_CHANGES.get(flags, ()), []) for flags in EXCHANGES),
     # 3.2.2: it is active in event mode, and frozen after it

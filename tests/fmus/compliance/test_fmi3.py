@@ -1,4 +1,4 @@
-"""Of an FMU of FMI 3.0 the check has the findings of the schema and of FMPy, and no behaviour."""
+"""FMUs of FMI 3.0 are judged by its rules, and no finding quotes FMI 2.0."""
 
 import json
 import re
@@ -8,13 +8,15 @@ import pytest
 
 from fmus.compliance.check import NOT_JUDGED, main
 from fmus.compliance.examine import examine
-from fmus.compliance.rule import Stage, registered
+from fmus.compliance.rule import Stage, all_rules
+from fmus.compliance.sentences import titles
 from fmus.generate import builder
 from tests.described_fmus import XML, members
+from tests.mutants.base import BASE_3, written
+from tests.mutants.slaves import write_slave
 
 from .archives import Members, broken_rules, write
 
-NOTE = "FMI 3.0: behaviour not judged, the description by schema and FMPy alone"
 TIME = b'name="time" valueReference="23"'
 TWICE = TIME.replace(b"23", b"15")  # that of the disturbance
 
@@ -32,38 +34,36 @@ def changed(content: Members, old: bytes, new: bytes, folder: Path) -> Path:
     return write(content | {XML: content[XML].replace(old, new)}, folder / "changed.fmu")
 
 
-def test_ours_passes_and_one_line_tells_that_behaviour_is_not_judged(
-    content: Members, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = write(content, tmp_path / "plant.fmu")
-    others = [rule for stage in Stage if stage is not Stage.FILE for rule in registered(stage)]
-    results = {result.rule.name: result for result in examine(path)}
-    not_judged = {name for name, result in results.items() if result.not_judged}
-    assert not_judged == {rule.name for rule in others} - {"schema"}
-    assert {result.not_judged for result in results.values()} == {"", NOTE}
-    assert main([str(path)]) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if "not judged:" in line]
-    assert NOTE in line
-    assert main([str(path), "--strict"]) == NOT_JUDGED
+STEPS = "steps-and-terminates", "steps-with-events", "state-restores", "wrong-references-are-refused"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (b'causality="independent"', b'causality="clock"', r"line 55: .*'clock' is not an element"),
-        (b'<BaseUnit s="-1" />', b'<BaseUnit S="-1" />', "line 10: .*attribute 'S' is not allowed"),
-        (TIME, TWICE, r"FMPy: .*\(line 55\) has the same value reference as variable .disturbance."),
-        (b'<Output valueReference="18" dependencies="7 19" />', b"", "FMPy: .*Outputs must have"),
-        (b'<Output valueReference="18"', b'<Output valueReference="99"', r"FMPy: .*\(KeyError: 99\)"),
-    ],
-    ids=["schema", "unit", "reference", "output", "unknown"],
-)  # fmt: skip
-def test_a_broken_description_is_a_finding_of_the_schema_or_of_fmpy(
-    content: Members, old: bytes, new: bytes, message: str, tmp_path: Path
-) -> None:
-    broken = broken_rules(changed(content, old, new, tmp_path))
-    assert list(broken) == ["schema"]
-    assert [text for text in broken["schema"] if re.match(message, text)]
+@pytest.mark.parametrize("names", [STEPS, pytest.param(None, marks=pytest.mark.slow)])
+def test_ours_breaks_no_rule(content: Members, names: tuple[str, ...] | None, tmp_path: Path) -> None:
+    results = examine(write(content, tmp_path / "plant.fmu"), names=names)
+    assert {result.outcome for result in results} <= {"passed", "not applicable"}
+    assert names is None or len(results) == len(names)
+
+
+def test_clocks_and_scheduled_execution_are_said_to_be_not_judged(tmp_path: Path) -> None:
+    path = write_slave(tmp_path, slave="Fmi3", is_clocked=True)
+    (result,) = examine(path, names=["clocks-have-partitions"])
+    assert result.not_judged == "clocks are not judged"
+    assert main([str(path), "--only", "clocks-have-partitions", "--strict"]) == NOT_JUDGED
+    text = re.sub(r" *<(?:ModelExchange|CoSimulation).*\n", "", BASE_3[XML].decode())
+    scheduled = text.replace("  <UnitDef", '  <ScheduledExecution modelIdentifier="Fmi3"/>\n  <UnitDef')
+    results = examine(write(BASE_3 | {XML: scheduled.encode()}, tmp_path / "scheduled.fmu"))
+    reasons = {r.not_judged for r in results if r.rule.stage is Stage.BEHAVIOUR}
+    assert reasons == {"scheduled execution is not judged"}
+
+
+def test_clauses_are_those_of_its_own_text(tmp_path: Path) -> None:
+    # without a library, each rule of behaviour is there and not judged
+    results = examine(written(BASE_3, tmp_path))
+    assert {result.rule.fmi for result in results} == {3}
+    places = [place for r in results for place in r.rule.clause.split(", ") if place[0].isdigit()]
+    assert set(places) <= {f"{clause} {title}" for clause, title in titles(3).items()}
+    assert [r.rule.claim for r in results if "fmi2" in r.rule.claim or "FMI 2" in r.rule.claim] == []
+    assert len(results) > len(all_rules()) / 2
 
 
 def test_findings_have_the_exit_status_the_line_and_the_waivers_of_fmi_2(
@@ -72,11 +72,15 @@ def test_findings_have_the_exit_status_the_line_and_the_waivers_of_fmi_2(
     path = changed(content, TIME, TWICE, tmp_path)
     assert main([str(path), "--format", "sarif"]) == 1
     (run,) = json.loads(capsys.readouterr().out)["runs"]
-    assert {result["ruleId"] for result in run["results"]} == {"schema"}
+    assert {result["ruleId"] for result in run["results"]} == {"value-references-are-unique"}
+    (rule,) = run["tool"]["driver"]["rules"]
+    assert rule["help"]["text"] == "FMI 3.0.2, 2.4.7.4 Variable Attributes"
     line = run["results"][0]["locations"][0]["physicalLocation"]["region"]["startLine"]
     assert TIME in content[XML].splitlines()[line - 1]
     waivers = tmp_path / "waivers.toml"
-    waivers.write_text('[[waiver]]\nrule = "schema"\nfmu = "changed.fmu"\nreason = "known"\n')
+    waivers.write_text(
+        '[[waiver]]\nrule = "value-references-are-unique"\nfmu = "changed.fmu"\nreason = "known"\n'
+    )
     assert main([str(path), "--waivers", str(waivers)]) == 0
 
 

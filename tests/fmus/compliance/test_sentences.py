@@ -4,7 +4,7 @@ import re
 import runpy
 from pathlib import Path
 
-from fmus.compliance.rule import Level, Stage, all_rules
+from fmus.compliance.rule import Level, Stage, all_rules, of_version
 from fmus.compliance.sentences import ADVICE, NO_DEMANDS, levels, rule_table, sentences, sentences_of, titles
 
 ROOT = Path(__file__).parents[3]
@@ -12,7 +12,8 @@ ROOT = Path(__file__).parents[3]
 
 def test_every_rule_that_a_sentence_names_exists() -> None:
     names = {rule.name for rule in all_rules()}
-    assert [(s.clause, name) for s in sentences() for name in s.rules if name not in names] == []
+    both = *sentences(), *sentences(3)
+    assert [(s.clause, name) for s in both for name in s.rules if name not in names] == []
 
 
 def test_a_sentence_has_rules_or_the_reason_why_no_check_sees_it_broken() -> None:
@@ -21,7 +22,7 @@ def test_a_sentence_has_rules_or_the_reason_why_no_check_sees_it_broken() -> Non
 
 def test_every_rule_checks_a_sentence_or_is_labelled_advice() -> None:
     rules = [rule for rule in all_rules() if not rule.clause.startswith(ADVICE)]
-    assert [rule.name for rule in rules if not sentences_of(rule.name)] == []
+    assert [rule.name for rule in rules if not (sentences_of(rule.name) or sentences_of(rule.name, 3))] == []
 
 
 def test_each_rule_has_a_level_with_a_reason_in_one_line_and_no_other_has_one() -> None:
@@ -32,10 +33,10 @@ def test_each_rule_has_a_level_with_a_reason_in_one_line_and_no_other_has_one() 
 
 
 def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:
-    for rule in all_rules():
-        demanding = [sentence for sentence in sentences_of(rule.name) if not sentence.no_demand]
+    for rule in (rule for fmi in (2, 3) for rule in of_version(all_rules(), fmi)):
+        demanding = [sentence for sentence in sentences_of(rule.name, rule.fmi) if not sentence.no_demand]
         assert (rule.level is Level.ADVICE) == (not demanding), (rule.name, demanding)
-    assert {sentence.no_demand for sentence in sentences()} == {"", *NO_DEMANDS}
+    assert {sentence.no_demand for sentence in (*sentences(), *sentences(3))} == {"", *NO_DEMANDS}
 
 
 def test_what_no_importer_stumbles_over_is_no_error() -> None:

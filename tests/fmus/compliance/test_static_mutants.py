@@ -6,14 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.base import BASE, CO_SIMULATION_ONLY, changed, written
+from tests.mutants.base import BASE, BASE_3, CO_SIMULATION_ONLY, changed, written
 from tests.mutants.listed import LEGAL_FMUS
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
 from tests.mutants.slaves import STATIC_MUTANTS
 
 
 @pytest.mark.parametrize(
-    "members", [BASE, changed(*CO_SIMULATION_ONLY)], ids=["both interfaces", "co-simulation"]
+    "members",
+    [BASE, changed(*CO_SIMULATION_ONLY), BASE_3],
+    ids=["both interfaces", "co-simulation", "FMI 3.0"],
 )
 def test_what_the_mutants_start_from_breaks_no_rule(members: dict[str, bytes], tmp_path: Path) -> None:
     assert broken_rules(written(members, tmp_path)) == {}

@@ -218,7 +218,7 @@ def test_events_of_model_exchange_have_the_flags_of_fmi_2() -> None:
     addresses = [ctypes.cast(functions.get(name, 0), ctypes.c_void_p).value or 0 for name in fmi3._FUNCTIONS]
     table, calls = np.array(addresses, np.int64), fmi3._calls()
     assert isinstance(calls, ctypes.CDLL)
-    instance = calls.fmi3_behind(None, table.ctypes.data, table.ctypes.data, 0, None, None)
+    instance = calls.fmi3_behind(None, table.ctypes.data, table.ctypes.data, 0, None, None, 0)
     enters, ends, info = ctypes.c_int(), ctypes.c_int(), fmi2EventInfo()
     both = ctypes.byref(enters), ctypes.byref(ends)
     for told in ([True, False], [False, True]):
