@@ -10,7 +10,7 @@ from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.model_exchange import ModelExchangeInstance
+from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.probe import Probe
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import NotJudgedError
@@ -121,7 +121,7 @@ class _Silent:
 
 def _rehearsed(number: int, script: Script, fmu: FmuFile) -> Iterator[Call]:
     """Yields the calls of FMI that a script makes, without the FMU: it ends the process that calls it."""
-    kind = ModelExchangeInstance if fmu.is_model_exchange else CalledInstance
+    kind = CalledModelExchange if fmu.is_model_exchange else CalledInstance
     options = {**script.options, "recorded": True}
     library: Any = _Silent()
     instance = kind(library, CountingAllocator(), ProcessSettings(), options, lambda _: None)
