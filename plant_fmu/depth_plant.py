@@ -49,7 +49,7 @@ class HullParameters:
         unit="N",
         min=-1e6,
         max=1e6,
-        source="published: +0.2 N is 17 % of it, holding thrust 1.2 N",
+        source="published: holding thrust 1.2 N, of which +0.2 N is 17 %",
     )
     free_surface: bool = variable(True, "Whether buoyancy falls as the vehicle emerges", variability="fixed")
     water_density: float = variable(

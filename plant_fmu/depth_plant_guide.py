@@ -5,17 +5,17 @@ from fmus.block.guide import Experiment, Guide, Source
 GUIDE = Guide(
     equations="""\
 M_z w'     = tau_z + w_dz + J (W - B(z)) - D_z w_r - D_q |w_r| w_r       (10), D_q added
-             + (M_z - (W - B(z)) / g) J w_f'                             waves: (rho V + A) w_f'
+             + (M_z - (W - B(z)) / g) J w_f'                             waves: displaced water, added mass
 z'         = J w,   J = cos(roll) cos(pitch),   w_r = w - J (v_c + w_f)
 B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change
              B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
 thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
-           F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_c)            (11): F = K v; off: r = 1, c = 0
+           F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_q)            (11): F = K v; off: r = 1, c = 0
            or F_s = efficiency n table(v_s)                              off
-           F'  = sat((F_s - F) / T, R)                                   off: no limit R
+           F'  = sat((F_s - F) / lag, R)                                 off: no limit R
            tau_z = s (F_1 + F_2),   s = clip((z + d_t) / d_f, 0, 1)      off: s = 1
-sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k T
-           measured = the newest s_k with t_k + delay <= t;   n_k standard normal, h pressure head of waves
+sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k period
+           measured = the newest s_k with t_k + delay <= t;   n_k standard normal, h head of waves, q rounds
 """,
     conventions=(
         "Depth z is the depth of the vehicle's top, positive down and 0 at the surface.",
@@ -29,11 +29,11 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
     tuning=(
         "For another vehicle: weight, net_weight, waterplane_area and the size's added mass in inertia;"
         " then linear_damping and quadratic_damping from a descent at constant thrust.",
-        "thruster_gain, thruster_dead_zone, thruster_voltage_limit and thruster_lag singly; or"
+        "thruster_gain K, thruster_dead_zone v_0, thruster_voltage_limit v_max and thruster_lag; or"
         " thruster_ideal, which keeps only gain and efficiency.",
         "More of a thruster, all off at the start values: thruster_reverse_ratio, r for negative voltages;"
         " thruster_curvature c, for a force that grows with the square of the voltage, with"
-        " thruster_curve_voltage v_c, where line and parabola meet; thruster_rate_limit R, of the force, as"
+        " thruster_curve_voltage v_q, where line and parabola meet; thruster_rate_limit R, of the force, as"
         " motors and their drivers have it; thruster_full_depth d_f, the depth from which a propeller draws"
         " no air, with thruster_depth d_t below the vehicle's top.",
         "A measured thruster: thruster_tabulated, with thruster_table_voltage and thruster_table_force, a"
@@ -49,11 +49,11 @@ sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t
         "Heave alone: roll and pitch are inputs, and nothing else of the vehicle moves.",
         "The paper gives neither inertia, damping, thruster nor sensor data: see the column Source for"
         " what is published, estimated or guessed. The model was not compared with a real vehicle.",
-        "Sides are taken as vertical where the vehicle breaks the surface; no bottom, no tether.",
+        "The vehicle's sides are vertical where it breaks the surface. There is no bottom and no tether.",
         "Waves act as on a small body below them, by linear theory: the surface where the vehicle emerges"
         " stays level, and forces of second order, such as the mean pull towards the surface, are left out.",
-        "At the surface it is a spring of 218 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
-        " keeps it bobbing there.",
+        "At the surface, buoyancy is a spring of 218 N/m under 5.5 kg (6.3 rad/s). Sensor noise in a loop"
+        " keeps the vehicle oscillating there.",
         "The controllers of this project assume a straight line of the thrust, with their own gain and limit"
         " of the voltage, or invert a table among their parameters; they assume no other limit of the"
         " thrusters.",

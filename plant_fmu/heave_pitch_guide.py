@@ -16,7 +16,7 @@ EXPERIMENT = Experiment(
 
 GUIDE = Guide(
     equations="""\
-M v'       = W - B(z) + cos(theta) (F_1 + F_2) + F_ext + (rho V + A) w_f' - D v_r - D_q |v_r| v_r
+M v'       = W - B(z) + cos(theta) (F_1 + F_2) + F_ext + (M - (W - B(z)) / g) w_f' - D v_r - D_q |v_r| v_r
 I q'       = -x_1 F_1 - x_2 F_2 - W BG sin(theta) + M_ext - D_M q - D_Mq |q| q
 z'         = v,   theta' = q,   v_r = v - v_c - w_f
 B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change

@@ -1,7 +1,7 @@
 """Thruster: voltage to force, by a curve with few parameters or by a table, and its answer in time.
 
     v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
-    F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_c),   r = 1 for v_d >= 0, the reverse ratio below
+    F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_q),   r = 1 for v_d >= 0, the reverse ratio below
     F'  = sat((F_s - F) / T, R)
     force = s F,   s = clip(d / d_f, 0, 1)
 
@@ -11,7 +11,7 @@
                      force = x_1 + b_1 / a_0 x_2
 
 K [N/V], dead zone v_0 [V], saturation v_max [V], lag T [s], efficiency 0..1 (1 healthy, 0 dead). The curve
-is a line for c = 0 and quadratic for c = 1; at v_c [V] both give K v_c, so that K stays in N/V. R [N/s]
+is a line for c = 0 and quadratic for c = 1; at v_q [V] both give K v_q, so that K stays in N/V. R [N/s]
 limits how fast the force changes, as the torque of a motor limits how fast its propeller speeds up. d [m]
 is the depth of the propeller, d_f the depth of its full thrust; above it draws air (ventilation) and loses
 thrust, here in proportion to its depth. An ideal thruster gives efficiency K v at once, in air too.
