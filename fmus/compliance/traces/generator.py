@@ -112,7 +112,7 @@ def _generated(probe: Probe) -> Iterator[Trace]:
     near, *far = [*do.others_in_turn(probe, settable, do.begin, do.step())] or [[]]
     before = do.others_accepted(probe, values.settable_before(fmu))
     early = do.others_accepted(probe, values.settable_in_initialization(fmu), do.initialise)
-    is_input = [[pair for pair in pairs if pair[0].causality == "input"] for pairs in far]
+    is_input = [[pair for pair in pairs if pair[0].causality == "input"] for pairs in (near, *far)]
     usual, odd = (1.0,), (1.0, *_ODD) if any_step else (1.0,)
     for start, first, sets, sizes, is_late in (
         (0, False, [], usual, False),

@@ -102,9 +102,9 @@ def unread(*actions: Action) -> Action:
 
 
 def after_reset(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
-    """Yields a run after another one and fmi2Reset."""
-    varied = unread(*other.whole()), do.reset, *trace.whole()
-    yield _row("after another run and fmi2Reset", trace, varied, _SUMMED)
+    """Yields a run after another one, after itself, and fmi2Reset."""
+    varied = unread(*other.whole()), do.reset, unread(*trace.whole()), do.reset, *trace.whole()
+    yield _row("after other runs and fmi2Reset", trace, varied, _SUMMED)
 
 
 def after_an_error(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
