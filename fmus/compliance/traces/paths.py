@@ -21,9 +21,12 @@ _SUMMED = 1e-3  # relative: some dozen steps of a solver that begins elsewhere s
 Path = Callable[[Probe, Trace, Trace], Iterator[Row]]
 
 
-def rows(probe: Probe, path: Path) -> Iterator[Row]:
-    """Yields the rows of a path, given each of the last random traces, which vary most, and another one."""
-    some = traces(probe)[-_JUDGED:]
+def rows(probe: Probe, path: Path, with_plain: bool = False) -> Iterator[Row]:
+    """Yields the rows of a path, given each of the last random traces, which vary most, and another one.
+
+    with_plain: whether the first trace, which sets nothing, is judged, too
+    """
+    some = [*traces(probe)[:with_plain], *traces(probe)[-_JUDGED:]]
     for trace, other in zip(some, [*some[1:], *some[:1]], strict=True):
         yield from path(probe, trace, other)
 
