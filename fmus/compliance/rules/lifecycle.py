@@ -176,6 +176,13 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     another. An error of another rule that a new process does not show is a finding of this rule.
     """
     yield from paths.rows(probe, paths.beside)
+    changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
+    moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
+    usual, another = (do.start, do.run(5)), (changed[0], *moved)
+    # once it is created last, once it begins last
+    for beside in ((changed, another, usual), (usual, another)):
+        varied = do.start, do.run(2), do.pause, do.run(3)
+        yield Row("beside another instance", varied, usual, beside=beside)
     modes = [((do.initialise,), values.settable_in_initialization, values.readable_in_initialization)]
     if probe.fmu.is_model_exchange:
         modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))

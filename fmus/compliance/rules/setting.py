@@ -232,7 +232,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     chosen = values.settable_while_stepping(probe.fmu)
     if not chosen:
         raise NotApplicableError("there is neither an input nor a tunable parameter")
-    yield from paths.rows(probe, paths.set_again)
+    yield from paths.rows(probe, paths.set_again, with_plain=True)
 
 
 @behaviour_rule("2.2.7, 3.1")

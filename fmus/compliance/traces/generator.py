@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
@@ -112,7 +113,7 @@ def _generated(probe: Probe) -> Iterator[Trace]:
     near, *far = [*do.others_in_turn(probe, settable, do.begin, do.step())] or [[]]
     before = do.others_accepted(probe, values.settable_before(fmu))
     early = do.others_accepted(probe, values.settable_in_initialization(fmu), do.initialise)
-    is_input = [[pair for pair in pairs if pair[0].causality == "input"] for pairs in far]
+    is_input = [[pair for pair in pairs if pair[0].causality == "input"] for pairs in (near, *far)]
     usual, odd = (1.0,), (1.0, *_ODD) if any_step else (1.0,)
     for start, first, sets, sizes, is_late in (
         (0, False, [], usual, False),
@@ -127,7 +128,7 @@ def _generated(probe: Probe) -> Iterator[Trace]:
             yield trace
 
 
-def _ways(sets: Sequence[Pairs]) -> Sequence[tuple[Variable, Sequence[object]]]:
+def _ways(sets: Sequence[Pairs]) -> Sequence[tuple[Variable, Sequence[Any]]]:
     """Returns each variable with its start value and others."""
     variables = {v.index: v for v, _ in chain(*sets)}
     return [
@@ -140,10 +141,10 @@ def _some(lots: random.Random, pairs: Pairs) -> Pairs:
     return [pair for pair in pairs if lots.random() < _TOGETHER]
 
 
-def _leg(
-    lots: random.Random, ways: Sequence[tuple[Variable, Sequence[object]]], sizes: Sequence[float]
-) -> Leg:
-    sets = [(v, lots.choice(some)) for v, some in ways if lots.random() < _TOGETHER]
+def _leg(lots: random.Random, ways: Sequence[tuple[Variable, Sequence[Any]]], sizes: Sequence[float]) -> Leg:
+    chosen = ((v, some[0], lots.choice(some)) for v, some in ways if lots.random() < _TOGETHER)
+    # instances and points of time seldom have a value in common then
+    sets = [(v, start + lots.random() * (x - start) if v.kind == "Real" else x) for v, start, x in chosen]
     return Leg(sets, [lots.choice(sizes) for _ in range(lots.randint(1, _MOST_STEPS))])
 
 

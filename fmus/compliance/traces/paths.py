@@ -21,9 +21,12 @@ _SUMMED = 1e-3  # relative: some dozen steps of a solver that begins elsewhere s
 Path = Callable[[Probe, Trace, Trace], Iterator[Row]]
 
 
-def rows(probe: Probe, path: Path) -> Iterator[Row]:
-    """Yields the rows of a path, given each of the last random traces, which vary most, and another one."""
-    some = traces(probe)[-_JUDGED:]
+def rows(probe: Probe, path: Path, with_plain: bool = False) -> Iterator[Row]:
+    """Yields the rows of a path, given each of the last random traces, which vary most, and another one.
+
+    with_plain: whether the first trace, which sets nothing, is judged, too
+    """
+    some = [*traces(probe)[:with_plain], *traces(probe)[-_JUDGED:]]
     for trace, other in zip(some, [*some[1:], *some[:1]], strict=True):
         yield from path(probe, trace, other)
 
@@ -102,9 +105,9 @@ def unread(*actions: Action) -> Action:
 
 
 def after_reset(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:
-    """Yields a run after another one and fmi2Reset."""
-    varied = unread(*other.whole()), do.reset, *trace.whole()
-    yield _row("after another run and fmi2Reset", trace, varied, _SUMMED)
+    """Yields a run after another one, after itself, and fmi2Reset."""
+    varied = unread(*other.whole()), do.reset, unread(*trace.whole()), do.reset, *trace.whole()
+    yield _row("after other runs and fmi2Reset", trace, varied, _SUMMED)
 
 
 def after_an_error(_: Probe, trace: Trace, other: Trace) -> Iterator[Row]:

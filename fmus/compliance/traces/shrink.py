@@ -6,6 +6,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
@@ -219,9 +220,11 @@ def _detours(calls: Sequence[tuple[Any, ...]]) -> Iterator[Sequence[int]]:
     what they do is undone.
     """
     methods = [method for method, *_ in calls]
-    begin = len(methods) - methods[::-1].index("fmi2Reset") if "fmi2Reset" in methods else 0
-    if begin:
-        yield range(begin)
+    resets = [i + 1 for i, method in enumerate(methods) if method == "fmi2Reset"]
+    begin = resets[-1] if resets else 0
+    for first, last in ((0, begin), *pairwise([0, *resets])):
+        if last:
+            yield range(first, last)
     saved: int | None = None
     for i in range(begin, len(methods)):
         if methods[i] == "save_state" and saved is None:
