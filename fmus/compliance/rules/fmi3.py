@@ -13,6 +13,10 @@ from fmus.compliance.variable import Variable, Variable3, integer, is_true, numb
 from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, EXAMINED
 
 _PERIODIC = ("constant", "fixed", "tunable")
+_SIZES = (  # causality and variability of the sizes of dimensions
+    *(("structuralParameter", "fixed"), ("structuralParameter", "tunable")),
+    *(("output", "constant"), ("local", "constant")),
+)
 _ICON = "terminalsAndIcons/icon"
 _LISTS = """(
     UnitDefinitions/Unit | UnitDefinitions/Unit/DisplayUnit | TypeDefinitions/* | TypeDefinitions/*/Item
@@ -48,14 +52,10 @@ def _wrong_size(subject: tuple[Variable, Any], fmu: FmuFile) -> str:
     if start is not None:
         return "" if integer(start) else f"size {start}: expected 1 at least"
     v = _size_variable(dimension, fmu)
-    if v is None or v.kind != "UInt64" or "structuralParameter" not in (v.causality, _constant(v)):
+    if not v or v.kind != "UInt64" or (v.causality, v.variability) not in _SIZES:
         name = f"{v.name} ({v.kind}, {v.causality}, {v.variability})" if v else f"value reference {reference}"
         return f"size {name}: expected a UInt64 that is a structural parameter or constant"
     return "" if integer(v.start) else f"size {v.name} with start {v.start}: expected 1 at least"
-
-
-def _constant(v: Variable) -> str:
-    return "structuralParameter" if v.variability == "constant" else ""
 
 
 def _wrong_count(v: Variable, fmu: FmuFile) -> str:
