@@ -4,7 +4,7 @@ import errno
 import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -370,9 +370,10 @@ class _Judge:
         for result in [result for result in self.results.values() if result.messages]:
             first, *_ = result.messages
             known = next((m for m in cases if first.startswith(messages_of([m])[0])), None)
-            calls = self._shown(known, cases[known]) if known else self._shown_crash(first)
-            if calls:
-                self.results[result.rule.name] = replace(result, shown={first: calls})
+            # a defect in what shows a finding takes the finding away from nobody
+            with suppress(Exception):
+                calls = self._shown(known, cases[known]) if known else self._shown_crash(first)
+                self.results[result.rule.name] = replace(result, shown={first: calls} if calls else {})
 
     def _shown(self, message: str, parts: tuple[Any, Script, Sequence[Script]]) -> Shown | None:
         """Returns the calls that show a message, if they do so in a new process."""

@@ -18,7 +18,7 @@ def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], mess
         others = [other for other in plays if other is not play]
         if failure := play.failure:
             place = 0, _index(play, failure)
-            return Case([play, *others], [place], partial(_fails, failure))
+            return Case([play, *others], [place], partial(_returns, failure))
         found = next(_unlike(row, usual, play, message.split(" is ", 1)[0]), None)
         if found is not None:
             reading, name, one, scale = found
@@ -31,6 +31,9 @@ def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], mess
             expected, of_it = _place(source, one, name)
             both, places = [source, play, *others], [(0, expected), (1, seen)]
             return Case(both, places, partial(_differ, tolerance, scale), [of_it, element], compared=2)
+        for reply, finding, expected in play.errors:
+            if finding and reply.status not in (None, *expected):
+                return Case([play, *others], [(0, _index(play, reply))], partial(_returns, reply))
     return None
 
 
@@ -40,9 +43,9 @@ def _differ(tolerance: float, scale: float, *seen: Any) -> bool:
     return not same(first, second, tolerance, scale)
 
 
-def _fails(failure: Reply, replies: Sequence[Reply]) -> bool:
+def _returns(known: Reply, replies: Sequence[Reply]) -> bool:
     (reply,) = replies
-    return reply.status == failure.status and reply.function == failure.function
+    return reply.status == known.status and reply.function == known.function
 
 
 def _index(script: Script, reply: Reply) -> int:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, groupby
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
@@ -13,6 +13,7 @@ from fmus.compliance.traces.shrink import CREATE, FREE, Call, ShortTrace
 from fmus.fmi.binding import status_name
 
 _MOST_LINES = 40  # of a trace in a report
+_MOST_STEPS = 3  # in succession
 _STATES = 8  # saved states of a program
 _READS = "fmi2Get"
 _SERIALISES = "fmi2SerializeFMUstate"
@@ -43,7 +44,12 @@ def lines(trace: ShortTrace, fmu: FmuFile) -> list[str]:
     """Returns a line for each call, with names of variables, and values that were read."""
     names = {(v.base_kind, v.reference): v.name for v in reversed(fmu.variables)}
     several = len({call.instance for call in trace.calls}) > 1
-    told = [f"{call.instance + 1}: " * several + _line(call, names) for call in trace.calls]
+    told = list[str]()
+    for (instance, function), group in groupby(trace.calls, lambda call: (call.instance, call.function)):
+        some = [f"{instance + 1}: " * several + _line(call, names) for call in group]
+        if function == "fmi2DoStep" and len(some) > _MOST_STEPS:
+            some = [some[0], f"... {len(some) - 2} more steps", some[-1]]
+        told += some
     if len(told) > _MOST_LINES:
         half = _MOST_LINES // 2
         told = [*told[:half], f"... {len(told) - 2 * half} more calls", *told[-half:]]

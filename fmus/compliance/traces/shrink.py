@@ -103,7 +103,8 @@ def shrunk_crash(
     # a call that ends the process has none after it
     count = bisect_left(kept[-1], 1, key=lambda count: shows([*kept[:-1], range(count)]))
     kept = _minimal(case, [*kept[:-1], range(count)], shows, _MOST_PROCESSES)
-    scripts = [script for script in _copies(case, kept) if script.calls]
+    copies = _copies(case, kept)
+    scripts = [script for script in copies if script.calls] or copies[:1]
     calls = list[Call]()
     for number, script in enumerate(scripts):
         calls += [_created(number, script), *_rehearsed(number, script, fmu)]
@@ -334,11 +335,12 @@ def _shows(probe: Probe, case: Case, kept: Kept) -> bool:
     except (NotJudgedError, CallError, DefectError):
         return False
     replies = [scripts[number].replies[list(kept[number]).index(i)] for number, i in case.places]
+    # what failed before may fail again: calls that return error, or whose failure is ignored
     others = [
         reply
-        for script in scripts[: case.compared]
-        for reply in script.replies
-        if not any(reply is target for target in replies)
+        for number, script in enumerate(scripts[: case.compared])
+        for i, reply in zip(kept[number], script.replies, strict=True)
+        if case.scripts[number].replies[i].ok and not any(reply is target for target in replies)
     ]
     try:
         elements = zip(replies, case.elements, strict=False)
