@@ -88,6 +88,7 @@ _RENAMED = {
     "fmi2NewDiscreteStates": "fmi3UpdateDiscreteStates",
     "GetRealOutputDerivatives": "GetOutputDerivatives",
     "fmi2GetDerivatives": "fmi3GetContinuousStateDerivatives",
+    "returned error: expected ok; check: ": "returned ok: ",
     "FMUstate": "FMUState",
     **{f"fmi2{verb}{kind}": f"fmi3{verb}{{VariableType}}" for verb in ("Get", "Set") for kind in _TYPES},
     "DeSerialize": "Deserialize",

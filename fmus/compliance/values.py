@@ -153,7 +153,7 @@ def references_of(variables: Iterable[Variable]) -> list[int]:
 
 def unknown_reference(fmu: FmuFile) -> int:
     """Returns a value reference far from the variables': some without an entry may lie between."""
-    used = {v.reference or 0 for v in fmu.variables} | {element.reference for element in fmu.elements or ()}
+    used = {v.reference or 0 for v in fmu.variables} | {of.reference for of in fmu.elements or ()}
     far = max(used, default=0) + 1000
     return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 

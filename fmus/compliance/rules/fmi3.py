@@ -13,6 +13,12 @@ from fmus.compliance.variable import Variable, Variable3, integer, is_true, numb
 from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, EXAMINED
 
 _PERIODIC = ("constant", "fixed", "tunable")
+_WITH = {"shiftCounter": "intervalCounter", "intervalCounter": "resolution"}  # attributes of clocks
+_TIMES = "intervalDecimal", "shiftDecimal", "intervalCounter", "shiftCounter", "resolution"
+_SIZES = (  # causality and variability of the sizes of dimensions
+    *(("structuralParameter", "fixed"), ("structuralParameter", "tunable")),
+    *(("output", "constant"), ("local", "constant")),
+)
 _ICON = "terminalsAndIcons/icon"
 _LISTS = """(
     UnitDefinitions/Unit | UnitDefinitions/Unit/DisplayUnit | TypeDefinitions/* | TypeDefinitions/*/Item
@@ -48,14 +54,10 @@ def _wrong_size(subject: tuple[Variable, Any], fmu: FmuFile) -> str:
     if start is not None:
         return "" if integer(start) else f"size {start}: expected 1 at least"
     v = _size_variable(dimension, fmu)
-    if v is None or v.kind != "UInt64" or "structuralParameter" not in (v.causality, _constant(v)):
+    if not v or v.kind != "UInt64" or (v.causality, v.variability) not in _SIZES:
         name = f"{v.name} ({v.kind}, {v.causality}, {v.variability})" if v else f"value reference {reference}"
         return f"size {name}: expected a UInt64 that is a structural parameter or constant"
     return "" if integer(v.start) else f"size {v.name} with start {v.start}: expected 1 at least"
-
-
-def _constant(v: Variable) -> str:
-    return "structuralParameter" if v.variability == "constant" else ""
 
 
 def _wrong_count(v: Variable, fmu: FmuFile) -> str:
@@ -71,26 +73,19 @@ def _wrong_count(v: Variable, fmu: FmuFile) -> str:
 
 
 def _clock_problem(clock: Variable, _: FmuFile) -> str:
-    """Returns the attribute of a clock that is missing, or that should be, with its value."""
-    is_periodic = clock.get("intervalVariability") in _PERIODIC
-    decimal, shift = clock.number("intervalDecimal"), clock.number("shiftDecimal")
-    counter, resolution = (integer(clock.get(name)) for name in ("intervalCounter", "resolution"))
-    shift_counter = integer(clock.get("shiftCounter"))
-    if is_periodic and decimal is None:
-        return "no intervalDecimal: expected one, as its interval is constant, fixed or tunable"
-    if not is_periodic and (decimal, counter, resolution) != (None, None, None):
-        return f"an interval, though {clock.get('intervalVariability')}: expected none"
-    checks = (
-        (decimal is not None and decimal <= 0, f"intervalDecimal {decimal}: expected more than 0"),
-        (shift is not None and shift < 0, f"shiftDecimal {shift}: expected 0 or more"),
-        (shift is not None and decimal is None, "shiftDecimal: expected intervalDecimal too"),
-        (counter is not None and counter <= 0, f"intervalCounter {counter}: expected more than 0"),
-        (shift_counter is not None and counter is None, "shiftCounter: expected intervalCounter too"),
-        (counter is not None and resolution is None, "intervalCounter: expected resolution too"),
-        (counter is not None and not is_true(clock.get("supportsFraction")),
-         "intervalCounter: expected supportsFraction too"),
-    )  # fmt: skip
-    return next((text for is_wrong, text in checks if is_wrong), "")
+    """Returns the attribute of a clock that is missing, or that is wrong or left over."""
+    times = {name: x for name in _TIMES if (x := clock.number(name)) is not None}
+    if clock.get("intervalVariability") not in _PERIODIC:
+        return f"{', '.join(times)}, and is not periodic: expected none" if times else ""
+    if "intervalCounter" in times and not is_true(clock.get("supportsFraction")):
+        return "intervalCounter: expected supportsFraction too"
+    if "intervalDecimal" not in times:
+        return "no intervalDecimal: expected one, as it is periodic"
+    missing = (
+        f"{one}: expected {other} too" for one, other in _WITH.items() if one in times and other not in times
+    )
+    wrong = (f"{name} {x:g}" for name, x in times.items() if x < 0 or (x == 0 and "shift" not in name))
+    return next(missing, "") or next((f"{text}: expected more" for text in wrong), "")
 
 
 def _no_clocks(v: Variable3, fmu: FmuFile) -> str:
@@ -106,13 +101,9 @@ def _previous_problem(v: Variable, fmu: FmuFile) -> str:
     of = fmu.by_key.get(integer(v.attributes["previous"]))
     if of is None or of is v:
         return f"{v.attributes['previous']}: expected the value reference of another variable"
-    others = [
-        x.name
-        for x in fmu.variables
-        if x is not v and x.attributes.get("previous") == v.attributes["previous"]
-    ]
-    if others:
-        return f"{of.name} is named by {others[0]} too: expected a variable for each"
+    count = [x.attributes.get("previous") for x in fmu.variables].count(v.attributes["previous"])
+    if count > 1:
+        return f"{of.name} is the previous value of {count} variables: expected a variable for each"
     is_fit = of.kind == v.kind and of.variability == "discrete" and of.causality != "input"
     return "" if is_fit else f"{of.name} is {of.variability} {of.kind} ({of.causality}): expected another one"
 
@@ -122,10 +113,10 @@ def _flag_problem(interface: Any, fmu: FmuFile) -> str:
     early, updates = "canReturnEarlyAfterIntermediateUpdate", "providesIntermediateUpdate"
     if is_true(interface.get(early)) and not is_true(interface.get(updates)):
         return f"{early}: expected {updates} too"
-    has_clocks = any(v.kind == "Clock" for v in fmu.variables)
-    return (
-        "clocks: expected hasEventMode" if has_clocks and not is_true(interface.get("hasEventMode")) else ""
+    needs_events = any(v.kind == "Clock" for v in fmu.variables) and not is_true(
+        interface.get("hasEventMode")
     )
+    return "clocks: expected hasEventMode" if needs_events else ""
 
 
 def _display_unit_problem(alias: Any, fmu: FmuFile) -> str:

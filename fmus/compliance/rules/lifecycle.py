@@ -26,7 +26,7 @@ _OF_THE_MACHINE = re.compile(
     r"(?P<name>[^\s:]+): cannot open shared object"
     r"|(?:Error loading shared library|Library not loaded:) (?P<other>[^\s:]+)"
     r"|version `\S+' not found|wrong ELF class|incompatible architecture|\[WinError (?:126|193)\]"
-    r"|Could not find module"
+    r"|Could not find module|needs a library of fmi3_calls"
 )
 
 

@@ -141,7 +141,7 @@ def test_an_unknown_reference_is_one_of_32_bit_that_no_variable_has(
     used: list[int | None], expected: int
 ) -> None:
     variables = [SimpleNamespace(reference=reference) for reference in used]
-    fmu = SimpleNamespace(variables=variables)
+    fmu = SimpleNamespace(variables=variables, elements=None)
     assert unknown_reference(cast(FmuFile, fmu)) == expected
 
 

@@ -54,6 +54,10 @@ FIRST_MESSAGES = {
     "a flag of an event is not written": "fmi2NewDiscreteStates returned ok and left a value unwritten",
     "states cannot be set by reference": "fmi2SetReal of x returned error",
     "the process counts its steps": "; only after other instances in the process, found by ",
+    "lastSuccessfulTime is not written": "fmi3DoStep returned ok: lastSuccessfulTime was not written",
+    "an intermediate update before the step": (
+        "fmi3DoStep returned ok: the time of an intermediate update is -0.01 s: expected 0..0.01 s"
+    ),
     "the start time is ignored": "time is 0 after initialisation with startTime 0.3 s: expected 0.3",
 }
 
@@ -205,6 +209,7 @@ def test_a_library_that_this_machine_cannot_load_is_not_judged(
         ("mach-o file, but is an incompatible architecture (have 'arm64', need 'x86_64')", True),
         ("[WinError 193] %1 is not a valid Win32 application", True),
         ("Could not find module 'model.dll' (or one of its dependencies)", True),
+        ("FMI 3.0 needs a library of fmi3_calls.c, which a wheel has: no compiler", True),
         ("libinside.so: cannot open shared object file: No such file or directory", False),
         ("/tmp/Behaviour.so: undefined symbol: nope", False),
         ("/tmp/Behaviour.so: file too short", False),

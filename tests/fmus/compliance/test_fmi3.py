@@ -44,6 +44,22 @@ def test_ours_breaks_no_rule(content: Members, names: tuple[str, ...] | None, tm
     assert names is None or len(results) == len(names)
 
 
+@pytest.mark.parametrize(
+    ("mutation", "rule"),
+    [
+        ("a reset that does nothing", "reset-gives-the-start-values"),
+        ("a state that is not restored", "state-restores"),
+        ("any token", "wrong-guid-is-refused"),
+        ("step mode is not entered", "steps-with-events"),
+        ("an intermediate update before the step", "steps-with-events"),
+    ],
+)
+def test_behaviour_is_found_by_its_rule_alone(mutation: str, rule: str, tmp_path: Path) -> None:
+    results = examine(write_slave(tmp_path, mutation, slave="Fmi3"), names=[rule])
+    assert [result.rule.name for result in results if result.messages] == [rule]
+    assert [text for r in results for text in r.messages if "fmi2" in text] == []
+
+
 def test_clocks_and_scheduled_execution_are_said_to_be_not_judged(tmp_path: Path) -> None:
     path = write_slave(tmp_path, slave="Fmi3", is_clocked=True)
     (result,) = examine(path, names=["clocks-have-partitions"])
