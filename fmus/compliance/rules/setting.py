@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from fmus.compliance import actions as do
 from fmus.compliance import values
-from fmus.compliance.differential import Row, differences, differential
+from fmus.compliance.differential import OF_EXPERIMENT, Row, differences, differential
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, values_of
@@ -48,6 +48,9 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     """
     others = do.set_others(values.settable_before(probe.fmu))
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
+    usual = do.begin, do.read_all(), do.run_all(5)
+    varied = do.start, do.step(5), do.reset, *usual
+    yield Row("after fmi2Reset", varied, usual, tolerance=OF_EXPERIMENT)
     yield from paths.rows(probe, paths.after_reset)
     yield from paths.rows(probe, paths.after_an_error)
 

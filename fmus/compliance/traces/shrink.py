@@ -21,14 +21,32 @@ from fmus.fmi.callbacks import CountingAllocator
 CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"
 _MOST_TRIALS, _MOST_PROCESSES = 120, 40  # of one finding; of one crash, each in a new process
 _SKELETON = (
-    "set_up_experiment", "exit_initialization_mode", "set_state", "state_of_bytes", "copy_state", "free",
-    "fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2EnterEventMode",
-    "fmi2EnterContinuousTimeMode", "fmi2Terminate", "fmi2Reset", "fmi2SetupExperiment",
-)  # fmt: skip
+    "set_up_experiment",
+    "exit_initialization_mode",
+    "set_state",
+    "state_of_bytes",
+    "copy_state",
+    "free",
+    "fmi2EnterInitializationMode",
+    "fmi2ExitInitializationMode",
+    "fmi2EnterEventMode",
+    "fmi2EnterContinuousTimeMode",
+    "fmi2Terminate",
+    "fmi2Reset",
+    "fmi2SetupExperiment",
+)
 _QUESTIONS = (
-    "get", "vector", "directional_derivatives", "output_derivatives", "save_state", "free_state",
-    "state_size", "state_bytes", "status_of", "fmi2SetDebugLogging",
-)  # fmt: skip
+    "get",
+    "vector",
+    "directional_derivatives",
+    "output_derivatives",
+    "save_state",
+    "free_state",
+    "state_size",
+    "state_bytes",
+    "status_of",
+    "fmi2SetDebugLogging",
+)
 _DIGITS = 12  # of times that are shifted: sums of sizes are as exact
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _TIMED = "do_step", "do_steps", "set_time", "fmi2SetTime"  # the first argument is a time
