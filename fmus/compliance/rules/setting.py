@@ -50,7 +50,9 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
     usual = do.begin, do.read_all(), do.run_all(5)
     for stop, words in ((do.step(5), ""), (do.ignore(do.leap(1)), "more steps and ")):
-        yield Row(f"after {words}fmi2Reset", (do.start, stop, do.reset, *usual), usual, tolerance=OF_EXPERIMENT)
+        yield Row(
+            f"after {words}fmi2Reset", (do.start, stop, do.reset, *usual), usual, tolerance=OF_EXPERIMENT
+        )
     yield from paths.rows(probe, paths.after_reset)
     yield from paths.rows(probe, paths.after_an_error)
 

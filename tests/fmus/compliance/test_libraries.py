@@ -36,8 +36,9 @@ def test_an_fmu_without_a_library_for_this_platform_is_judged_but_for_its_behavi
     results = {result.rule.name: result for result in examine(elsewhere)}
     warning = results.pop("runs-on-this-platform")
     assert warning.outcome == "advice"
-    assert warning.messages == (
-        f"CoSimulation: no library {NAME} for {host_platform()} (there is {', '.join(sorted(OTHERS))})",
+    assert warning.messages == tuple(
+        f"{interface}: no library {NAME} for {host_platform()} (there is {', '.join(sorted(OTHERS))})"
+        for interface in ("CoSimulation", "ModelExchange")
     )
     behaviour = {name for name, result in results.items() if result.rule.stage == "behaviour"}
     reasons = {results[name].not_judged or results[name].not_applicable for name in behaviour}
