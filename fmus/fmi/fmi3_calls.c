@@ -324,7 +324,7 @@ static int part_of_step(Instance *a, double t, double end, int no_return_before,
     /* An FMU may be late, as its own steps have another size. */
     if (*is_early && reached < t - (end - t)) return refuse(a, function, "lastSuccessfulTime lies before the step");
     if (reached > end - slack) *is_early = 0; /* nothing is left of the step */
-    return a->terminates ? noted(a, fmi3Discard, function) : status;
+    return a->terminates ? noted(a, fmi3Discard, function) : (int)status;
 }
 
 static int examined_step(Instance *a, double start, double size, int no_return_before) {
@@ -386,7 +386,7 @@ EXPORT int fmi2GetBooleanStatus(Instance *a, int kind, int *value) {
 EXPORT int fmi2ExitInitializationMode(Instance *a) {
     const fmi3Status status = a->call->ExitInitializationMode(a->instance);
     noted(a, status, "fmi3ExitInitializationMode");
-    return a->uses & EVENT_MODE && is_done(status) ? handle_event(a) : status;
+    return a->uses & EVENT_MODE && is_done(status) ? handle_event(a) : (int)status;
 }
 
 EXPORT int fmi2SetDebugLogging(Instance *a, int is_on, size_t n, const fmi3String categories[]) {

@@ -313,6 +313,10 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
         last = before.infos[-1] if before.infos else {}
         return not last.get("nextEventTimeDefined") or abs(last["nextEventTime"] - event.time) > near
 
+    def is_moved(event: Event) -> bool:
+        begin = list(event.previous.begin) if event.previous else []
+        return not begin or begin != event.vectors[0][0]
+
     def change_of(v: Variable, event: Event) -> tuple[Any, ...]:
         left = event.previous.left if event.previous else {}
         pair = left.get(v.name, x := event.values.get(v.name)), x
@@ -323,9 +327,10 @@ def changes_have_events(probe: Probe) -> Iterator[str]:
         others = [v for v in variables if v.kind != "Real"]
         begun = {e.time for e in events if e.cause == _NO_EVENT and any(change_of(v, e) for v in others)}
         judged = [e for e in events if is_judged(e) and e.previous and e.previous.time not in begun]
+        moved = sum(is_moved(e) for e in judged)
         for v in variables:
             changed = [(event, pair) for event in judged if (pair := change_of(v, event))]
-            if v.kind == "Real" and len(changed) > len(judged) / 2:
+            if v.kind == "Real" and len(changed) > moved / 2:
                 # it follows a continuous variable whenever event mode is entered
                 continue
             for event, (a, b) in changed:
