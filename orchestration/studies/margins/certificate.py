@@ -1,6 +1,6 @@
 """A certificate for the extension: the largest sector of u_p for which the loop returns to its hold.
 
-The linear loop of the blocks' code has no u_p but the integral of the PI. Each communication step adds
+The linear loop of the blocks' code contains the integral of the PI. The rest of u_p adds to each step
 
     x' = A x - b q,   v = c x,   0 <= q v <= k v^2,   q = -u_p,   v = e
 
@@ -14,13 +14,14 @@ T the multipliers). P solves a Riccati equation. That it satisfies the inequalit
 numbers. Sources: Zames (1966); Megretski and Rantzer (1997); docs/explanation/theory.md.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmus.extras import imports_of
+from fmus.fmi.variable_types import FmiValue
 from orchestration.studies.margins.code_loop import CodeLoop, Step, is_bounded
 from orchestration.studies.margins.fmu_margins import Metric
 from orchestration.studies.margins.l1_design import Design
@@ -31,7 +32,7 @@ with imports_of("study", "a certificate"):
 FASTEST = 0.2  # m/s; the drag is in its sector up to this speed
 _DECREASE = 1e-6  # of V, relative to the squares of the scaled states
 _SMALL = 1e-3  # m/s; D_q times it changes the linear damping, for its derivative
-_WEIGHTS = np.geomspace(0.1, 1e4, 26)  # multipliers of the drag, relative to that of u_p
+_WEIGHTS = np.geomspace(0.1, 1e4, 51)  # multipliers of the drag; u_p has 1
 _LARGEST, _RESOLUTION = 1e4, 1e-3  # of k, relative to the gain of the depth or of the first state
 CERTIFICATE = "certificate"
 _SOURCE = "circle criterion, docs/explanation/theory.md"
@@ -160,24 +161,27 @@ def _largest(holds: Callable[[float], bool], least: float = 0.0) -> float:
     return low
 
 
+def without_p(design: Design) -> dict[str, FmiValue]:
+    """Returns values of parameters that leave of the extension the integral of the PI alone, or nothing."""
+    name = design.controller
+    plain: dict[str, FmiValue] = {f"{name}.augmentation": "pi", f"{name}.proportional_gain": 0.0}
+    return plain | ({f"{name}.integral_gain": 0.0} if design.frozen_gains else {})
+
+
 def certificate_metrics(
     loop: CodeLoop, design: Design, runs_hold: Callable[[float], bool] | None
 ) -> Iterator[Metric]:
     """Yields the proved sectors, the gains of the scenario beside them, and what is beyond.
 
-    runs_hold: whether runs with a K_P hold quietly; None if none are made
+    loop: with `without_p`; runs_hold: whether runs with a K_P hold quietly; None if none are made
     """
-    name = design.controller
-    plain: Mapping[str, float] = {f"{name}.augmentation": 2.0, f"{name}.proportional_gain": 0.0}
-    if design.frozen_gains:
-        plain = plain | {f"{name}.integral_gain": 0.0}
     drag = [name for name in loop.parameters if name.endswith(".quadratic_damping")]
     dampings = {name.replace("quadratic", "linear"): loop.values[loop.parameters[name]] for name in drag}
-    changed = plain | {f"{name}.proportional_gain": 1.0}
-    damped = plain | {
+    changed = {f"{design.controller}.proportional_gain": 1.0}
+    damped = {
         key: loop.values[loop.parameters[key]] + _SMALL * of_square for key, of_square in dampings.items()
     }
-    before, after, slower = loop.steps(plain, changed, damped)
+    before, after, slower = loop.steps({}, changed, damped)
     channel = Channel.between(before, after, 1.0)
     used = max((design.law.proportional_gain, *design.frozen_gains))
     assumption = "about the hold: adaptation, thrusters and free surface linear, no saturation"

@@ -15,12 +15,14 @@ import numpy as np
 
 from fmus.block import Block
 from fmus.extras import imports_of
+from fmus.fmi.variable_types import FmiValue
 from fmus.generate.trace import trace
 from fmus.registry import BLOCKS, block_names, installed, load
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import LinearTransformation
+from orchestration.system.values import fmi_value
 
 with imports_of("study", "a margin"):
     import casadi
@@ -99,7 +101,7 @@ def is_bounded(matrices: Iterable[np.ndarray]) -> bool:
 
 
 def product(matrices: Iterable[np.ndarray]) -> np.ndarray:
-    """Returns the matrix of a period, from those of its steps in their order."""
+    """Returns the matrix of a period: the product of its steps' matrices."""
     whole, *others = matrices
     for a in others:
         whole = a @ whole
@@ -115,20 +117,22 @@ def _on_a_loop(matrices: Sequence[np.ndarray]) -> np.ndarray:
     return np.flatnonzero(labels == np.bincount(labels).argmax())
 
 
-def code_loop(chosen: Scenario, until: float, cut: Sequence[str]) -> CodeLoop | None:
+def code_loop(
+    chosen: Scenario, until: float, cut: Sequence[str], instead: Mapping[str, FmiValue] = {}
+) -> CodeLoop | None:
     """Returns the loop of a scenario about its state at the end of a hold; None if its code is not known.
 
     It is not known for FMUs of others, and not made for events, faults, extrapolated inputs, components with
     steps of their own, and another algorithm than Jacobi's.
 
-    until: end of the hold [s]; cut: connected inputs
+    until: end of the hold [s]; cut: connected inputs; instead: other values of parameters
     """
     prepared, experiment = chosen.prepared, chosen.prepared.experiment
     models = {d.modelName for d in prepared.system.descriptions.values()}
     others = experiment.events, experiment.faults, experiment.extrapolation, experiment.step_sizes
     if any(others) or experiment.algorithm is not Algorithm.JACOBI or not models <= {*block_names()}:
         return None
-    return _Blocks(prepared, cut).loop(until)
+    return _Blocks(prepared, cut, instead).loop(until)
 
 
 class _Blocks:
@@ -137,13 +141,15 @@ class _Blocks:
     Arguments: x, the states; t; s, the signals; d, added to the inputs that are cut; p, the parameters.
     """
 
-    def __init__(self, prepared: PreparedRun, cut: Sequence[str]) -> None:
+    def __init__(self, prepared: PreparedRun, cut: Sequence[str], instead: Mapping[str, FmiValue]) -> None:
         self._prepared, self._size = prepared, prepared.experiment.step_size
         models = {name: d.modelName or "" for name, d in prepared.system.descriptions.items()}
         blocks = {name: load(installed(BLOCKS)[model], "block") for name, model in models.items()}
         traced = {name: trace(block) for name, block in blocks.items()}
         constant = _constants(prepared, blocks, "input")
         parameters = _constants(prepared, blocks, "parameter")
+        for key, value in instead.items():
+            parameters[key] = float(fmi_value(prepared.system.port(key, "a parameter"), value))
         self.parameters, self.values = {name: i for i, name in enumerate(parameters)}, [*parameters.values()]
         signals = [*prepared.experiment.signals]
         counts = {"t": 1, "s": len(signals), "d": len(cut), "p": len(parameters)}

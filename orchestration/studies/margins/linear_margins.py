@@ -88,7 +88,7 @@ class LinearLoop:
 
 
 _LOWEST, _HIGHEST, _PER_DECADE = 1e-5, 1e5, 400  # rad/s
-_BEYOND = 1e6, 1e8  # rad/s; a response with a limit has it at both
+_NEAR = {0.0: (1e-7, 1e-9), math.inf: (1e6, 1e8)}  # rad/s; a response with a limit has it at both
 
 
 @dataclass(frozen=True)
@@ -136,13 +136,11 @@ def margins(loop: LinearLoop) -> LinearMargins:
 
 
 def _real_response(loop: LinearLoop, frequency: float) -> float:
-    """Returns the response at a frequency where it is real, also 0 and infinity; 0 at a pole."""
-    if frequency == 0.0 and np.abs(loop.poles(closed=False)).min(initial=math.inf) < _LOWEST:
-        return 0.0
-    if math.isinf(frequency):
-        before, value = loop.response(_BEYOND)
-        return float(value.real) if abs(value - before) < 1e-3 * abs(value) else 0.0
-    return float(loop.response(frequency).real)
+    """Returns the response at a frequency where it is real; at 0 and infinity its limit, 0 without one."""
+    if frequency not in _NEAR:
+        return float(loop.response(frequency).real)
+    before, value = loop.response(_NEAR[frequency])
+    return float(value.real) if abs(value - before) < 1e-3 * abs(value) else 0.0
 
 
 def _frequencies(loop: LinearLoop) -> np.ndarray:

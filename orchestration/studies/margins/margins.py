@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
-from orchestration.studies.margins.certificate import certificate_metrics
-from orchestration.studies.margins.code_loop import code_loop
+from orchestration.studies.margins.certificate import certificate_metrics, without_p
+from orchestration.studies.margins.code_loop import CodeLoop, code_loop
 from orchestration.studies.margins.fmu_margins import ADAPTATION_GAINS, Metric, parameter_metrics, run_metrics
 from orchestration.studies.margins.hold import QUIET, Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
 from orchestration.studies.margins.l1_design import Design, design_of
@@ -33,9 +34,11 @@ FOREIGN = (
     "NAME.vehicle.toml beside the vehicle, as RovDepthPlant has it."
 )
 NO_CODE = (
-    "The linear loop of the code is not judged: expected blocks of l1-depth alone, a hold, Jacobi's "
-    "algorithm, and no events, faults, extrapolated inputs or components with steps of their own."
+    "The linear loop of the code is not judged: expected installed blocks alone, a hold at whose end the "
+    "derivatives repeat, Jacobi's algorithm, and no events, faults, extrapolated inputs or components with "
+    "steps of their own."
 )
+NO_CERTIFICATE = "There is no certificate: expected an L1 controller in a loop whose code is judged."
 
 
 @dataclass(frozen=True)
@@ -87,16 +90,15 @@ def judge(
         if not design:
             not_judged.append(FOREIGN)
         metrics = [*design_metrics(design, ADAPTATION_GAINS)] if design else []
-        of_code = runs and code_loop(
-            chosen, runs.hold.end, loop_inputs(runs.prepared, runs.hold.signal, LoopSignal.CONTROL)
-        )
-        if of_code:
-            metrics += code_metrics(of_code)
-        else:
-            not_judged.append(NO_CODE)
-        if certificate and design and of_code and runs:
-            holds = partial(_holds, runs, design.controller) if measured else None
-            metrics += certificate_metrics(of_code, design, holds)
+        made = _loop_of_code(chosen, runs)
+        metrics += code_metrics(made) if made else []
+        not_judged += [] if made else [NO_CODE]
+        if certificate:
+            made = design and _loop_of_code(chosen, runs, without_p(design))
+            not_judged += [] if made else [NO_CERTIFICATE]
+            if design and runs and made:
+                holds = partial(_holds, runs, design.controller) if measured else None
+                metrics += certificate_metrics(made, design, holds)
         if runs and measured:
             metrics += run_metrics(runs, progress)
             if design and design.has_gain and not over:
@@ -110,6 +112,16 @@ def judge(
         name, (law, plant, _) = list(linear_loops(design).items())[-1]
         linear = name, loop(law, plant)
     return Margins(chosen.name, tuple(metrics), tuple(not_judged), linear)
+
+
+def _loop_of_code(
+    chosen: Scenario, runs: HoldRuns | None, instead: Mapping[str, FmiValue] = {}
+) -> CodeLoop | None:
+    """Returns the loop of the code about the hold, cut at the control, with other values of parameters."""
+    if runs is None:
+        return None
+    cut = loop_inputs(runs.prepared, runs.hold.signal, LoopSignal.CONTROL)
+    return code_loop(chosen, runs.hold.end, cut, instead)
 
 
 def _holds(runs: HoldRuns, controller: str, gain: float) -> bool:

@@ -145,7 +145,7 @@ _FINE = 1e-4  # s, and of factors
 def code_metrics(loop: CodeLoop) -> Iterator[Metric]:
     """Yields the margins of the loop as the blocks' code makes it."""
     assumption = "about the state after the hold, no noise; sampling, exchange and adaptation as in a run"
-    delays = replace(DELAYS, step=0.25 * DELAYS.step, resolution=_FINE)
+    delays = replace(DELAYS, largest=2.0, resolution=_FINE)
     gains = replace(GAINS, resolution=1.0 + _FINE)
     searches = {
         "delay margin": ("s", delays, lambda value: loop.is_stable(delay=value)),
@@ -161,7 +161,7 @@ def code_metrics(loop: CodeLoop) -> Iterator[Metric]:
         # not lost up to the end of the grid, or nothing to lose
         value = margin if math.isfinite(lost) else math.inf
         yield Metric(
-            CODE, f"{name}, control", value, unit, f"{assumption}; up to {grid.largest:g}", "eigenvalues"
+            CODE, f"{name} of the code", value, unit, f"{assumption}; up to {grid.largest:g}", "eigenvalues"
         )
 
 
