@@ -197,9 +197,14 @@ def test_product_code_does_not_know_its_tests() -> None:
     assert not importers("tests")
 
 
+CODE_LOOP = "orchestration.studies.margins.code_loop"
+
+
 def test_running_fmus_needs_no_export() -> None:
-    """A scenario may name a block or a Python file, whose FMU one file builds when it is needed."""
-    builders = ("orchestration.cli", "orchestration.scenarios.fmu_files")
+    """A scenario may name a block or a Python file, whose FMU one file builds when it is needed; one study
+    is about the code of blocks.
+    """
+    builders = ("orchestration.cli", "orchestration.scenarios.fmu_files", CODE_LOOP)
     for name, imported in arrows():
         is_builder = name.startswith(builders)
         if is_in(name, "orchestration") and not is_builder and is_in(imported, "fmus"):
@@ -365,6 +370,7 @@ def test_what_is_declared_is_imported() -> None:
         (
             "casadi",
             {
+                CODE_LOOP,
                 "fmus.numerics.symbols",
                 *(
                     f"fmus.generate.{name}"

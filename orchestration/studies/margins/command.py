@@ -43,6 +43,12 @@ def margins(
     theory: Annotated[
         bool, typer.Option("--theory", help="Give what follows from the design alone, without many runs.")
     ] = False,
+    certificate: Annotated[
+        bool,
+        typer.Option(
+            "--certificate", help="Prove up to which gain the extension of an L1 controller keeps the hold."
+        ),
+    ] = False,
     over: Annotated[
         str,
         typer.Option(
@@ -70,7 +76,15 @@ def margins(
     chosen = chosen_scenario.load(name, flavour, changes)
     hold = Hold(signal, *window, quiet) if window else None
     with shared.progress("margins", runs_needed(repeated)) as bar:
-        judged = judge(chosen, hold, quiet=quiet, over=repeated, measured=not theory, progress=bar.advance)
+        judged = judge(
+            chosen,
+            hold,
+            quiet=quiet,
+            over=repeated,
+            measured=not theory,
+            certificate=certificate,
+            progress=bar.advance,
+        )
     _print(chosen.title, judged)
     if out:
         if judged.linear:

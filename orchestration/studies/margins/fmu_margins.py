@@ -128,6 +128,14 @@ def scan(
         progress()
         return runs.is_quiet(inputs, grid.effect(value), parameters)
 
+    margin, lost, quiet_again = search(is_quiet, grid, only_first_loss)
+    return Scan(margin, lost, quiet_again, runs.count - before)
+
+
+def search(
+    is_quiet: Callable[[float], bool], grid: Grid, only_first_loss: bool = False
+) -> tuple[float, float, tuple[tuple[float, float], ...]]:
+    """Returns margin, loss and later quiet intervals, as `Scan` has them, of a function of the value."""
     values, quiet = grid.values(), list[bool]()
     for value in values:
         quiet.append(is_quiet(value))
@@ -135,7 +143,7 @@ def scan(
             break
     margin, lost = _first_loss(is_quiet, grid, values, quiet)
     again = _intervals(values, quiet) if not math.isnan(margin) else ()
-    return Scan(margin, lost, again[1:], runs.count - before)
+    return margin, lost, again[1:]
 
 
 def _first_loss(

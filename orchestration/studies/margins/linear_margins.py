@@ -88,6 +88,7 @@ class LinearLoop:
 
 
 _LOWEST, _HIGHEST, _PER_DECADE = 1e-5, 1e5, 400  # rad/s
+_NEAR = {0.0: (1e-7, 1e-9), math.inf: (1e6, 1e8)}  # rad/s; a response with a limit has it at both
 
 
 @dataclass(frozen=True)
@@ -123,11 +124,23 @@ def margins(loop: LinearLoop) -> LinearMargins:
     unit = _roots(loop, grid, np.log(np.abs(response)), lambda values: np.log(np.abs(values)))
     # the smallest delay with L(j w) e^(-j w delay) = 1, where |L| = 1
     delays = [(float(np.angle(loop.response(w)) % (2.0 * math.pi) / w), w) for w in unit]
-    gains = [(float(1.0 / loop.response(w).real), w) for w in _roots(loop, grid, response.imag, np.imag)]
+    real = [0.0, *_roots(loop, grid, response.imag, np.imag), math.inf]
+    gains = [(1.0 / value, w) for w in real if (value := _real_response(loop, w))]
+    if abs(_real_response(loop, math.inf)) >= 1.0:
+        # each echo of the delayed value is at least as large as the one before
+        delays.append((0.0, math.inf))
     delay, frequency = min(delays, default=(math.inf, math.nan))
     low_gain, low_frequency = max((g for g in gains if 0.0 < g[0] < 1.0), default=(0.0, math.nan))
     high_gain, high_frequency = min((g for g in gains if g[0] > 1.0), default=(math.inf, math.nan))
     return LinearMargins(delay, frequency, low_gain, high_gain, low_frequency, high_frequency)
+
+
+def _real_response(loop: LinearLoop, frequency: float) -> float:
+    """Returns the response at a frequency where it is real; at 0 and infinity its limit, 0 without one."""
+    if frequency not in _NEAR:
+        return float(loop.response(frequency).real)
+    before, value = loop.response(_NEAR[frequency])
+    return float(value.real) if abs(value - before) < 1e-3 * abs(value) else 0.0
 
 
 def _frequencies(loop: LinearLoop) -> np.ndarray:
@@ -135,7 +148,8 @@ def _frequencies(loop: LinearLoop) -> np.ndarray:
     count = round(math.log10(_HIGHEST / _LOWEST) * _PER_DECADE) + 1
     grid = [np.geomspace(_LOWEST, _HIGHEST, count)]
     for pole in (*loop.poles(), *loop.poles(closed=False)):
-        near = abs(pole.real) * np.geomspace(1e-2, 1e2, _PER_DECADE)
+        # of a pole on the axis only the neighbourhood has a response
+        near = max(abs(pole.real), 1e-6 * abs(pole)) * np.geomspace(1e-2, 1e2, _PER_DECADE)
         grid += [abs(pole.imag) - near, abs(pole.imag) + near]
     frequencies = np.unique(np.concatenate(grid))
     return frequencies[frequencies >= _LOWEST]

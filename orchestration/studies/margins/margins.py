@@ -4,18 +4,27 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
+from orchestration.studies.margins.certificate import certificate_metrics, without_p
+from orchestration.studies.margins.code_loop import CodeLoop, code_loop
 from orchestration.studies.margins.fmu_margins import ADAPTATION_GAINS, Metric, parameter_metrics, run_metrics
-from orchestration.studies.margins.hold import QUIET, Hold, HoldRuns, hold_of
+from orchestration.studies.margins.hold import QUIET, Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
 from orchestration.studies.margins.l1_design import Design, design_of
 from orchestration.studies.margins.l1_loop import loop
 from orchestration.studies.margins.linear_margins import LinearLoop
-from orchestration.studies.margins.theory_metrics import design_metrics, linear_loops, step_metrics
+from orchestration.studies.margins.theory_metrics import (
+    code_metrics,
+    design_metrics,
+    linear_loops,
+    step_metrics,
+)
 from orchestration.system.signals import values_at
 
 FOREIGN = (
@@ -24,6 +33,12 @@ FOREIGN = (
     "known, on ExamplePlant and on vehicles whose description names their inertia: expected it in "
     "NAME.vehicle.toml beside the vehicle, as RovDepthPlant has it."
 )
+NO_CODE = (
+    "The linear loop of the code is not judged: expected installed blocks alone, a hold at whose end the "
+    "derivatives repeat, Jacobi's algorithm, and no events, faults, extrapolated inputs or components with "
+    "steps of their own."
+)
+NO_CERTIFICATE = "There is no certificate: expected an L1 controller in a loop whose code is judged."
 
 
 @dataclass(frozen=True)
@@ -51,6 +66,7 @@ def judge(
     quiet: float = QUIET,
     over: Mapping[str, Sequence[float]] = {},
     measured: bool = True,
+    certificate: bool = False,
     progress: Callable[[], object] = lambda: None,
 ) -> Margins:
     """Judges all margins of a scenario.
@@ -59,6 +75,7 @@ def judge(
     over: parameter -> values, at each of which the delay margins are measured; by default the adaptation gain
     of an L1 controller
     measured: whether the metrics that take many runs are among them
+    certificate: whether the sectors of the extension that are proved are, too
     """
     not_judged, runs = list[str](), None
     try:
@@ -73,6 +90,15 @@ def judge(
         if not design:
             not_judged.append(FOREIGN)
         metrics = [*design_metrics(design, ADAPTATION_GAINS)] if design else []
+        made = _loop_of_code(chosen, runs)
+        metrics += code_metrics(made) if made else []
+        not_judged += [] if made else [NO_CODE]
+        if certificate:
+            made = design and _loop_of_code(chosen, runs, without_p(design))
+            not_judged += [] if made else [NO_CERTIFICATE]
+            if design and runs and made:
+                holds = partial(_holds, runs, design.controller) if measured else None
+                metrics += certificate_metrics(made, design, holds)
         if runs and measured:
             metrics += run_metrics(runs, progress)
             if design and design.has_gain and not over:
@@ -86,6 +112,22 @@ def judge(
         name, (law, plant, _) = list(linear_loops(design).items())[-1]
         linear = name, loop(law, plant)
     return Margins(chosen.name, tuple(metrics), tuple(not_judged), linear)
+
+
+def _loop_of_code(
+    chosen: Scenario, runs: HoldRuns | None, instead: Mapping[str, FmiValue] = {}
+) -> CodeLoop | None:
+    """Returns the loop of the code about the hold, cut at the control, with other values of parameters."""
+    if runs is None:
+        return None
+    cut = loop_inputs(runs.prepared, runs.hold.signal, LoopSignal.CONTROL)
+    return code_loop(chosen, runs.hold.end, cut, instead)
+
+
+def _holds(runs: HoldRuns, controller: str, gain: float) -> bool:
+    """Whether runs with a linear P of this gain hold quietly."""
+    values = {f"{controller}.augmentation": "pi", f"{controller}.proportional_gain": gain}
+    return runs.is_quiet(parameters=values)
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:

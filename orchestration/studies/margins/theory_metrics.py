@@ -17,7 +17,8 @@ from controller_fmu.design import (
 )
 from orchestration.run.simulator import Simulator
 from orchestration.scenarios.scenario import Scenario
-from orchestration.studies.margins.fmu_margins import Metric
+from orchestration.studies.margins.code_loop import CodeLoop
+from orchestration.studies.margins.fmu_margins import DELAYS, GAINS, Metric, search
 from orchestration.studies.margins.l1_design import Design
 from orchestration.studies.margins.l1_loop import Law, Plant, loop
 from orchestration.studies.margins.linear_margins import margins
@@ -135,6 +136,33 @@ def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> It
     yield Metric(LINEAR, f"delay margin, {label}", loop_margins.delay, "s", assumption, _NYQUIST, at)
     yield Metric(LINEAR, f"largest gain, {label}", loop_margins.high_gain, "1", assumption, _NYQUIST)
     yield Metric(LINEAR, f"smallest gain, {label}", loop_margins.low_gain, "1", assumption, _NYQUIST)
+
+
+CODE = "linear loop of the code"
+_FINE = 1e-4  # s, and of factors
+
+
+def code_metrics(loop: CodeLoop) -> Iterator[Metric]:
+    """Yields the margins of the loop as the blocks' code makes it."""
+    assumption = "about the state after the hold, no noise; sampling, exchange and adaptation as in a run"
+    delays = replace(DELAYS, largest=2.0, resolution=_FINE)
+    gains = replace(GAINS, resolution=1.0 + _FINE)
+    searches = {
+        "delay margin": ("s", delays, lambda value: loop.is_stable(delay=value)),
+        "largest gain": ("1", gains, lambda value: loop.is_stable(gain=value)),
+        "smallest gain": (
+            "1",
+            replace(gains, largest=1.0 / gains.largest),
+            lambda value: loop.is_stable(gain=value),
+        ),
+    }
+    for name, (unit, grid, is_stable) in searches.items():
+        margin, lost, _ = search(is_stable, grid, only_first_loss=True)
+        # not lost up to the end of the grid, or nothing to lose
+        value = margin if math.isfinite(lost) else math.inf
+        yield Metric(
+            CODE, f"{name} of the code", value, unit, f"{assumption}; up to {grid.largest:g}", "eigenvalues"
+        )
 
 
 TRANSIENT = "prediction error"

@@ -14,7 +14,7 @@ TEXT = (Path(__file__).parents[4] / "docs" / "explanation" / "margins.md").read_
 
 @cache
 def metrics(name: str, measured: bool) -> dict[str, Metric]:
-    judged = judge(scenario.load(scenario.find(name)), measured=measured).metrics
+    judged = judge(scenario.load(scenario.find(name)), measured=measured, certificate=True).metrics
     return {f"{metric.group}: {metric.name}": metric for metric in judged}
 
 
@@ -36,7 +36,7 @@ def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> 
     return absent
 
 
-THEORY = ("L1-norm condition", "linear loop", "prediction error")
+THEORY = ("L1-norm condition", "linear loop", "linear loop of the code", "prediction error")
 
 
 @pytest.mark.parametrize(
@@ -51,6 +51,19 @@ def test_the_table_of_adaptation_gains_is_that_of_the_linear_loop() -> None:
     for gain in (10, 100, 1000, 10000, 100000):
         shown = shown_metrics[f"linear loop: delay margin, adaptation_gain = {gain}"].shown
         assert f"| {gain} | {shown} |" in TEXT
+
+
+@pytest.mark.slow
+def test_the_page_has_the_certificate_at_both_adaptation_gains() -> None:
+    found = []
+    for gain in (100.0, 1e5):
+        gains = {"controller.adaptation_gain": gain}
+        loaded = scenario.load(scenario.find("nominal-extended"), settings=gains)
+        judged = judge(loaded, over={"controller.adaptation_gain": (gain,)}, certificate=True)
+        found.append([metric for metric in judged.metrics if metric.group == "certificate"])
+    assert len(found[0]) == 4
+    for at_100, at_1e5 in zip(*found, strict=True):
+        assert f"| {at_100.name} | {at_100.shown} | {at_1e5.shown} | N/m |" in TEXT
 
 
 @pytest.mark.slow
