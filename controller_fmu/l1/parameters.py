@@ -12,6 +12,7 @@ x_hat'       = A_m x_hat + B_m (omega_hat (u_a + u_p + u_f) + theta_hat^T phi + 
 theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_hat - x     (4)
 sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde^T P B_m))
 omega_hat'   = Gamma Proj(omega_hat, -(x_tilde^T P B_m) u_omega)
+Proj(a, y)   = (1 - f) y   where a y > 0 and f = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else y
 u_a(s)       = -k D(s) (omega_hat u_a + theta_hat^T phi + sigma_hat - v)                    (6)
 A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
 
@@ -19,7 +20,7 @@ phi          = (|x|_inf, 0)    regressor infinity_norm
                x               regressor state
 u_omega      = u_a + u_f       input_gain_regressor adaptive_control
                u_a + u_f + u_p input_gain_regressor adaptive_control_and_extension
-C(s)         = w / (s + w)                         filter_order first
+C(s)         = w / (s + w)                         filter_order first, C = k D / (1 + k D)
                (3 w^2 s + w^3) / (s + w)^3         filter_order third
 
 v, u_f       = k_g r, 0                            reference_feedforward none
@@ -42,12 +43,12 @@ LAW_LIMITS = (
     "The L1-norm condition covers the law without the extension u_p and with perfect measurements; delays"
     " and the lag of an actuator are outside it. The paper proves nothing about the loop with the"
     " extension. This FMU checks neither.",
-    "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p but learns from u_a alone:"
-    " another reason why the proof does not cover the extension. input_gain_regressor lets it learn from"
-    " both, which restores the Lyapunov argument and not the accuracy.",
+    "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p + u_f but learns from"
+    " u_a + u_f: another reason why the proof does not cover the extension. input_gain_regressor lets it"
+    " learn from all, which restores the Lyapunov argument, but tracks no better.",
     "While the actuator saturates, its delivered control drives the prediction, and the states of the"
-    " filter and the integral of the PI are held where their change would demand still more. Noise that"
-    " touches the limit all the time therefore slows them: keep the limit above the demand and its noise.",
+    " filter and the integral of the PI are held where their change would demand still more. Noise at"
+    " the limit therefore slows them: keep the limit above the demand and its noise.",
     "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
     " exact for the assumed A_m and a reference whose derivatives are given; at a corner of the reference"
     " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
