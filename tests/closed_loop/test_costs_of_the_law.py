@@ -108,7 +108,7 @@ def test_the_adaptation_gain_of_the_vehicle_is_chosen_by_these_figures(
 
 
 def delay_before_the_first_loss(name: str, parameters: dict[str, Any]) -> int:
-    """The delay [ms] of the depth sensor before the first one that moves the depth by 3 mm, in steps of 20 ms."""
+    """The last delay [ms] of the depth sensor, of 0, 20, ..., before one that moves the depth by 3 mm."""
     return next(delay for delay in count(0, 20) if not is_quiet(name, parameters, delay + 20))
 
 
