@@ -19,7 +19,7 @@ from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
 from controller_fmu.l1.matrices import Matrix, SampledLawMatrices, sampled_prediction
-from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters, law_requirements
+from controller_fmu.l1.parameters import DEFINITIONS, EQUATIONS, LAW_LIMITS, LawParameters, law_requirements
 from fmus.block import variable
 from fmus.block.guide import Guide, Source
 
@@ -212,6 +212,7 @@ def control(law: LawState, p: Parameters) -> Control:
 
 GUIDE = Guide(
     equations=EQUATIONS
+    + DEFINITIONS
     + """
 x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
 """

@@ -12,7 +12,6 @@ x_hat'       = A_m x_hat + B_m (omega_hat (u_a + u_p + u_f) + theta_hat^T phi + 
 theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_hat - x     (4)
 sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde^T P B_m))
 omega_hat'   = Gamma Proj(omega_hat, -(x_tilde^T P B_m) u_omega)
-Proj(a, y)   = (1 - f) y   where a y > 0 and f = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else y
 u_a(s)       = -k D(s) (omega_hat u_a + theta_hat^T phi + sigma_hat - v)                    (6)
 A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
 
@@ -20,7 +19,7 @@ phi          = (|x|_inf, 0)    regressor infinity_norm
                x               regressor state
 u_omega      = u_a + u_f       input_gain_regressor adaptive_control
                u_a + u_f + u_p input_gain_regressor adaptive_control_and_extension
-C(s)         = w / (s + w)                         filter_order first, C = k D / (1 + k D)
+C(s)         = w / (s + w)                         filter_order first
                (3 w^2 s + w^3) / (s + w)^3         filter_order third
 
 v, u_f       = k_g r, 0                            reference_feedforward none
@@ -36,6 +35,10 @@ u_p          = 0                                   augmentation none
 With adaptation_law piecewise_constant, theta_hat = 0, omega_hat = input_gain and, at every Ts:
 x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_hat) + B_u sigma_u
 (sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde,   Phi = A_s^-1 (e^(A_s Ts) - I)
+"""
+DEFINITIONS = """\
+C(s)         = k D / (1 + k D)
+Proj(a, y)   = (1 - f) y   where a y > 0 and f = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else y
 """
 
 
