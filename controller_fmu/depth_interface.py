@@ -141,8 +141,8 @@ class DepthInputs:
     measured_depth_rate: float = variable(
         0.0, "Depth rate z', used when velocity_source is measured", unit="m/s"
     )
-    roll: float = variable(0.0, "Roll angle phi", unit="rad")
-    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+    roll: float = variable(0.0, "Roll angle", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle", unit="rad")
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,9 @@ OBSERVER = """\
 observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v_hat + beta / T (z - z_p)
 """
 OBSERVER_TUNING = (
-    "observer_period is the sampling period of the depth sensor; beta = alpha^2 / (2 - alpha) goes"
-    " with an alpha. With a measured depth rate, set velocity_source to measured."
+    "observer_period is the sampling period of the depth sensor; for an observer_alpha, take"
+    " observer_beta = observer_alpha^2 / (2 - observer_alpha). With a measured depth rate, set"
+    " velocity_source to measured."
 )
 VEHICLE_LIMIT = "A vehicle on its side (J near 0) cannot push vertically, and the controller does not try."
 REFERENCE_RATES = (

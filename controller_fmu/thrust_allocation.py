@@ -27,8 +27,8 @@ class Parameters(ActuatorParameters):
 @dataclass(frozen=True)
 class Inputs:
     control_force: float = variable(0.0, "Demanded force, earth frame, positive down", unit="N")
-    roll: float = variable(0.0, "Roll angle phi", unit="rad")
-    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+    roll: float = variable(0.0, "Roll angle", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle", unit="rad")
 
 
 @dataclass(frozen=True)

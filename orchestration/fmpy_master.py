@@ -1,4 +1,4 @@
-"""The master algorithm on FMPy, on one page: the loop of `orchestration.run`, call by call.
+"""The master algorithm on FMPy, in one file: the loop of `orchestration.run`, call by call.
 
     Jacobi         all inputs are set, all components step, all outputs are read
     Gauss-Seidel   component by component, each with the newest outputs there are
@@ -153,7 +153,7 @@ class Master:
         raise OrchestrationError("initial values do not settle: `simulate` solves algebraic loops")
 
     def step(self, start: float, end: float, algorithm: str) -> None:
-        """Steps all components from `start` to `end` [s]."""
+        """Steps all components from `start` to `end` [s]; Gauss-Seidel exchanges before each one."""
         if algorithm == "jacobi":
             self.for_each(self.set_inputs)
             self.for_each(lambda component: component.step(start, end))
@@ -209,9 +209,9 @@ def simulate(
     Raises
     ------
     SystemDefinitionError
-        For a wrong name, input or value.
+        For a wrong name, input, value or algorithm, or an FMU without co-simulation.
     OrchestrationError
-        For values that are not finite or do not settle at the start.
+        For values that are not finite or do not settle at the start, or a step of FMI 3.0 that ends early.
     FMICallException
         Of FMPy, for a call that an FMU refuses.
     """

@@ -96,8 +96,8 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Inputs(Surroundings):
-    roll: float = variable(0.0, "Roll angle phi", unit="rad")
-    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+    roll: float = variable(0.0, "Roll angle", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle", unit="rad")
 
 
 @dataclass(frozen=True)

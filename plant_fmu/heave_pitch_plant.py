@@ -94,7 +94,7 @@ class Inputs(Surroundings):
 class Continuous:
     depth: float = variable(0.0, "Depth z, positive down", unit="m")
     depth_rate: float = variable(0.0, "Depth rate z'", unit="m/s")
-    pitch: float = variable(0.0, "Pitch angle theta, positive bow up", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle, positive bow up", unit="rad")
     pitch_rate: float = variable(0.0, "Pitch rate q", unit="rad/s")
     transfer: tuple[Triple, Triple] = variable(
         ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),

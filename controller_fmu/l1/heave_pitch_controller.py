@@ -276,7 +276,7 @@ def _pitch_matrices(matrices: Matrices) -> axis.Matrices:
 GUIDE = Guide(
     equations=axis.GUIDE.equations
     + """
-the same for the pitch, with x = (theta, q), the moment M in place of the force and the parameters pitch_...
+the same for the pitch, with x = (pitch, rate), the moment M for the force and the parameters pitch_...
 A_m          = [[0, 1], [-(K + k_m1) / I, -(D + k_m2) / I]],   B_m = [0, 1 / I]
 F_1          = s_1 J u - m,   F_2 = s_2 J u + m,   m = M / (x_1 - x_2)      forces of the two thrusters
 s_1          = -x_2 / (x_1 - x_2),   s_2 = x_1 / (x_1 - x_2),   voltage_i = F_i / K_i or table^-1(F_i / n_i)

@@ -1,4 +1,4 @@
-"""The L1 adaptive control law for a second-order plant with one input and one output: EQUATIONS.
+"""The L1 adaptive control law for a second-order plant of one input and output: `parameters.EQUATIONS`.
 
 The prediction receives u_a + u_p + u_f; eta_hat contains omega_hat u_a alone. With either wrong the filter
 cancels u_p and u_f, and the response is plain L1, or no response.

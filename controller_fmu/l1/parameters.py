@@ -36,18 +36,22 @@ With adaptation_law piecewise_constant, theta_hat = 0, omega_hat = input_gain an
 x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_hat) + B_u sigma_u
 (sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde,   Phi = A_s^-1 (e^(A_s Ts) - I)
 """
+DEFINITIONS = """\
+C(s)         = k D / (1 + k D)
+Proj(a, y)   = (1 - f) y   where a y > 0 and f = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else y
+"""
 
 
 LAW_LIMITS = (
     "The L1-norm condition covers the law without the extension u_p and with perfect measurements; delays"
     " and the lag of an actuator are outside it. The paper proves nothing about the loop with the"
     " extension. This FMU checks neither.",
-    "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p but learns from u_a alone:"
-    " another reason why the proof does not cover the extension. input_gain_regressor lets it learn from"
-    " both, which restores the Lyapunov argument and not the accuracy.",
+    "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p + u_f but learns from"
+    " u_a + u_f: another reason why the proof does not cover the extension. input_gain_regressor lets it"
+    " learn from all, which restores the Lyapunov argument, but tracks no better.",
     "While the actuator saturates, its delivered control drives the prediction, and the states of the"
-    " filter and the integral of the PI are held where their change would demand still more. Noise that"
-    " touches the limit all the time therefore slows them: keep the limit above the demand and its noise.",
+    " filter and the integral of the PI are held where their change would demand still more. Noise at"
+    " the limit therefore slows them: keep the limit above the demand and its noise.",
     "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
     " exact for the assumed A_m and a reference whose derivatives are given; at a corner of the reference"
     " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"

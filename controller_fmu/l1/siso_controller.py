@@ -19,6 +19,7 @@ from controller_fmu.l1.matrices import (
     sampled_prediction,
 )
 from controller_fmu.l1.parameters import (
+    DEFINITIONS,
     EQUATIONS,
     LAW_LIMITS,
     Augmentation,
@@ -165,6 +166,7 @@ def _measurement(inputs: Inputs, p: Parameters, matrices: SampledLawMatrices) ->
 
 GUIDE = Guide(
     equations=EQUATIONS
+    + DEFINITIONS
     + """
 y            = C x,   u saturated at +-control_limit
 """,
