@@ -125,10 +125,14 @@ class NotApplicableError(Exception):
 
 @dataclass(frozen=True)
 class Shown:
-    """Calls that show a finding, a line for each, and programs that make them, by file name."""
+    """Calls that show a finding, a line for each, and programs that make them, by file name.
+
+    reason: why there are no calls
+    """
 
     calls: tuple[str, ...] = ()
     programs: Mapping[str, str] = field(default_factory=dict[str, str])
+    reason: str = ""
 
 
 @dataclass(frozen=True)

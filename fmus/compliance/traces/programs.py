@@ -9,7 +9,7 @@ from typing import Any
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Shown
 from fmus.compliance.script import KINDS
-from fmus.compliance.traces.shrink import CREATE, FREE, Call, ShortTrace
+from fmus.compliance.traces.replay import CREATE, FREE, Call, ShortTrace
 from fmus.fmi.binding import status_name
 
 _MOST_LINES = 40  # of a trace in a report
