@@ -41,6 +41,7 @@ class Shared:
       arguments that FMI forbids
     seed: of the random traces; cases: message -> row with its usual run and the others,
       which show it; crashes: message -> scripts by groups, some of which end the process
+    failed: problem -> first failed call that has it
     subjects: message -> what it is about: a reply, a message of the FMU, or a change with its `reply`
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
@@ -54,6 +55,7 @@ class Shared:
     seed: int = 1
     crashes: dict[str, Sequence[Sequence[Script]]] = field(default_factory=dict[str, Any])
     cases: dict[str, tuple[Any, Script, Sequence[Script]]] = field(default_factory=dict[str, Any])
+    failed: dict[str, Reply] = field(default_factory=dict[str, Reply])
     subjects: dict[str, Any] = field(default_factory=dict[str, Any])
     refused_steps: str = ""
     discards: str = ""
@@ -164,6 +166,7 @@ class Probe:
             self._note(script)
         for script in all_scripts:
             if failure := script.failure:
+                self.shared.failed.setdefault(failure.problem, failure)
                 self._judge_failure(script, failure)
 
     def _judge_failure(self, script: Script, failure: Reply) -> None:

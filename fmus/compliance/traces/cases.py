@@ -10,7 +10,7 @@ from fmus.compliance.differential import Row
 from fmus.compliance.probe import Probe, Shared
 from fmus.compliance.script import PRINTED, Expected, Message, Reading, Reply, Script
 from fmus.compliance.traces.replay import CREATION, END, Case, Place
-from fmus.compliance.values import same
+from fmus.compliance.values import same, texts
 
 
 def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], message: str) -> Case | None:
@@ -46,14 +46,29 @@ def case_of_subject(shared: Shared, subject: Any, message: str) -> Case | None:
         heard = (r for run in runs for r in run.everything if any(m is subject for m in r.messages))
         reply = shared.log.get(subject) or next(heard, None)
     elif subject is None:
-        failed = (run.failure for run in runs)
-        reply = next((r for r in failed if r and r.problem in message), None)
+        reply = next((r for problem, r in shared.failed.items() if problem in message), None)
     if reply is None or reply.script is None:
-        return None
+        return next(_of_a_value(shared, message), None)
     script: Script = reply.script
     ends = {id(script.creation): CREATION, id(script.end): END}
     place = ends[id(reply)] if id(reply) in ends else _index(script, reply)
     return Case([script], [(0, place)], partial(_speaks, reply, subject))
+
+
+def _of_a_value(shared: Shared, message: str) -> Iterator[Case]:
+    """Yields the cases of a message that begins with a variable and a value, in the runs that read that."""
+    name = message.split(" is ", 1)[0]
+    for run in shared.played.values():
+        for reading in run.readings:
+            read: dict[str, Any] = reading.values if reading.ok else {}
+            if name in read and message.startswith(f"{name} is {texts(read[name])[0]} "):
+                place, element = _place(run, reading, name)
+                yield Case([run], [(0, place)], partial(_is_value, read[name]), [element])
+
+
+def _is_value(known: Any, seen: Sequence[Any]) -> bool:
+    (value,) = seen
+    return same(known, bytes.fromhex(value) if isinstance(known, bytes) and isinstance(value, str) else value)
 
 
 def _speaks(known: Reply, subject: Any, replies: Sequence[Reply]) -> bool:

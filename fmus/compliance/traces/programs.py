@@ -97,7 +97,13 @@ def _text(argument: Any) -> str:
 
 _C_TYPES = {"c_double": "fmi2Real", "c_uint": "fmi2ValueReference", "c_int": "fmi2Integer"}
 _C_RESULTS = {"c_double": ("reals", "%.17g"), "c_char_p": ("texts", "%s"), "c_int": ("numbers", "%d")}
-_C_ADDRESSES = {"c_ulong": "&size", "EventInfo": "&info", "c_int": "numbers", "c_double": "reals"}
+_C_ADDRESSES = {
+    "c_ulong": "&size",
+    "EventInfo": "&info",
+    "c_int": "numbers",
+    "c_double": "reals",
+    "c_char_p": "texts",
+}
 _C_OTHERS = {"state": "states[{}]", "state&": "&states[{}]", "bytes": "bytes"}
 
 

@@ -22,13 +22,14 @@ _OF_CALLS = TimeoutError, CallError, DefectError, NotJudgedError
 def what_shows(fmu: FmuFile, message: str, shared: Sequence[Shared], new_probe: NewProbe) -> Shown:
     """Returns the calls that show a finding, or the reason why they are not shown."""
     try:
-        trace = _trace(fmu, message, shared, new_probe)
+        if trace := _trace(fmu, message, shared, new_probe):
+            return shown(trace, fmu, message)
     except (*_OF_CALLS, ProcessEndedError) as error:
         return Shown(reason=f"they do not show it again: {error}")
     except Exception as error:
         # the finding stays where what shows it has a defect
         return Shown(reason=defect(error))
-    return shown(trace, fmu, message) if trace else Shown(reason="none are known that show it alone")
+    return Shown(reason="none are known that show it alone")
 
 
 def _trace(fmu: FmuFile, message: str, shared: Sequence[Shared], new_probe: NewProbe) -> ShortTrace | None:

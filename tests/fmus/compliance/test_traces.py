@@ -80,8 +80,8 @@ def test_a_finding_is_shown_by_calls_each_of_which_it_needs(name: str, tmp_path:
     assert [*_shown(_mutant(name, tmp_path)).calls] == SHORTEST[name]
 
 
-def test_a_finding_of_several_instances_has_the_reason_why_no_calls_show_it(tmp_path: Path) -> None:
-    shown = _shown(_mutant("time of equal steps", tmp_path))
+def test_a_finding_about_several_runs_has_the_reason_why_no_calls_show_it(tmp_path: Path) -> None:
+    shown = _shown(_mutant("logs categories that were not chosen", tmp_path))
     assert (shown.calls, shown.reason) == ((), "none are known that show it alone")
 
 
