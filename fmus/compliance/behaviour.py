@@ -4,10 +4,9 @@ import errno
 import re
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from fmus.compliance.findings import counted
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, ONLY_ONCE, BrokenMemberError, FmuFile
@@ -22,7 +21,6 @@ from fmus.compliance.rule import (
     NotJudgedError,
     Result,
     Rule,
-    Shown,
     Stage,
     defect,
     messages_of,
@@ -31,10 +29,8 @@ from fmus.compliance.rule import (
     registered,
     without_folders,
 )
-from fmus.compliance.script import KINDS, CallError, DefectError, Script
-from fmus.compliance.traces.cases import case_of
-from fmus.compliance.traces.programs import shown
-from fmus.compliance.traces.shrink import FREE, shrunk, shrunk_crash
+from fmus.compliance.script import KINDS, CallError, DefectError
+from fmus.compliance.traces.show import what_shows
 from fmus.errors import HostError, MissingExtraError
 from fmus.files import extract_archive
 from fmus.fmi.binding import platform_name
@@ -80,6 +76,8 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
         return Result(rule, not_applicable=str(reason))
     except (CallError, BrokenMemberError) as error:
         # no answer of an FMU may stop the check: it is a finding
+        if isinstance(subject, Probe) and isinstance(error, CallError):
+            subject.shared.subjects[str(error)] = error.reply
         return Result(rule, messages_of([str(error)]))
     except Exception as error:
         return Result(rule, not_judged=defect(error))
@@ -369,48 +367,22 @@ class _Judge:
 
     def _show_calls(self) -> None:
         """Adds the shortest calls that show findings to their results."""
-        cases = {message: case for shared in self._shared.values() for message, case in shared.cases.items()}
-        for result in [result for result in self.results.values() if result.messages]:
-            first, *_ = result.messages
-            known = next((m for m in cases if first.startswith(messages_of([m])[0])), None)
-            # a defect in what shows a finding takes the finding away from nobody
-            with suppress(Exception):
-                calls = self._shown(known, cases[known]) if known else self._shown_crash(first)
-                self.results[result.rule.name] = replace(result, shown={first: calls} if calls else {})
+        shared = [*self._shared.values()]
+        for name, result in self.results.items():
+            if result.messages:
+                first, *_ = result.messages
+                calls = what_shows(self._fmu, first, shared, self._new_probe)
+                self.results[name] = replace(result, shown={first: calls})
 
-    def _shown(self, message: str, parts: tuple[Any, Script, Sequence[Script]]) -> Shown | None:
-        """Returns the calls that show a message, if they do so in a new process."""
+    @contextmanager
+    def _new_probe(self) -> Iterator[Probe]:
+        """Gives a probe with a process that shows one finding."""
         probe = Probe(self._fmu, self._folder, Shared(), self._is_alone)
         probe.process.allow(START_S + self._timeout)
         try:
-            case = case_of(probe, *parts, message)
-            trace = shrunk(probe, case) if case else None
-        except (TimeoutError, ProcessEndedError, CallError, DefectError, NotJudgedError):
-            return None
+            yield probe
         finally:
             probe.process.close()
-        return shown(trace, self._fmu, message) if trace else None
-
-    def _shown_crash(self, message: str) -> Shown | None:
-        """Returns the calls that end the process with a message, if they end a new one."""
-
-        def ends(scripts: Sequence[Script]) -> bool:
-            probe = Probe(self._fmu, self._folder, Shared(), self._is_alone)
-            probe.process.allow(START_S + self._timeout)
-            try:
-                probe.play(*scripts, keep_going=True)
-            except ProcessEndedError:
-                return True
-            except (TimeoutError, CallError, DefectError, NotJudgedError):
-                return False
-            finally:
-                probe.process.close()
-            return False
-
-        crashes = (shared.crashes.get(message, ()) for shared in self._shared.values())
-        group = next((some for groups in crashes for some in groups if ends(some)), None)
-        trace = shrunk_crash(self._fmu, group, ends, FREE in message) if group else None
-        return shown(trace, self._fmu, message) if trace else None
 
     def _lack_of_time(self) -> str:
         """Returns the reason why the rest is not judged: it would take too long."""

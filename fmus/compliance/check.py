@@ -53,7 +53,7 @@ def check(
     reproduce: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Write programs of C and FMPy that show findings of behaviour of FMI 2.0."
+            metavar="FOLDER", help="Write programs of C and FMPy that make the calls below findings."
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random runs of the FMU.")] = 1,

@@ -37,9 +37,12 @@ class Shared:
     results: of `Probe.once`; played: scripts by their calls; failing: (function, state) -> reporting rule
     refusals: replies that were not ok to calls with logging, one of each function and status, with and
       without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
-    log: messages, each once, of all instances with logging, but of calls or arguments that FMI forbids
+    log: messages of all instances with logging, each with the first reply that has it, but of calls or
+      arguments that FMI forbids
     seed: of the random traces; cases: message -> row with its usual run and the others,
       which show it; crashes: message -> scripts by groups, some of which end the process
+    failed: problem -> first failed call that has it
+    subjects: message -> what it is about: a reply, a message of the FMU, or a change with its `reply`
     refused_steps: reason why the FMU refuses steps of the usual size, if so
     discards: reason why it discards one of them
     """
@@ -48,10 +51,12 @@ class Shared:
     played: dict[str, Script] = field(default_factory=dict[str, Script])
     failing: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
     refusals: dict[tuple[str, int, bool], Reply] = field(default_factory=dict[tuple[str, int, bool], Reply])
-    log: dict[Message, None] = field(default_factory=dict[Message, None])
+    log: dict[Message, Reply] = field(default_factory=dict[Message, Reply])
     seed: int = 1
     crashes: dict[str, Sequence[Sequence[Script]]] = field(default_factory=dict[str, Any])
     cases: dict[str, tuple[Any, Script, Sequence[Script]]] = field(default_factory=dict[str, Any])
+    failed: dict[str, Reply] = field(default_factory=dict[str, Reply])
+    subjects: dict[str, Any] = field(default_factory=dict[str, Any])
     refused_steps: str = ""
     discards: str = ""
 
@@ -126,7 +131,7 @@ class Probe:
             return
         if failure.reason or (failure.is_step and failure.status == DISCARD):
             raise DiscardedStepError(failure.reason or f"the FMU discards {failure.function}")
-        raise CallError(failure.problem, failure.status)
+        raise CallError(failure.problem, failure.status, failure)
 
     def play_each(self, scripts: Sequence[Script]) -> None:
         """Plays scripts one after the other; an instance is freed before the next is created.
@@ -161,6 +166,7 @@ class Probe:
             self._note(script)
         for script in all_scripts:
             if failure := script.failure:
+                self.shared.failed.setdefault(failure.problem, failure)
                 self._judge_failure(script, failure)
 
     def _judge_failure(self, script: Script, failure: Reply) -> None:
@@ -196,9 +202,10 @@ class Probe:
                 break
         log, name = self.shared.log, script.options.get("name", USUAL_NAME)
         is_usual = not {"callbacks", "overwritten"} & {*script.options}
-        for message in (m for reply in script.everything for m in reply.messages) if is_usual else ():
+        heard = ((reply, m) for reply in script.everything for m in reply.messages)
+        for reply, message in heard if is_usual else ():
             if len(log) < _MOST_MESSAGES:
-                log[replace(message, given_name=name)] = None
+                log.setdefault(replace(message, given_name=name), reply)
 
     def play_once(self, scripts: Sequence[Script]) -> None:
         """Plays scripts as `play_each`; those with the calls of one that was played so have its answers."""

@@ -161,8 +161,9 @@ def _line(finding: Finding) -> str:
 
 
 def _calls(finding: Finding) -> list[str]:
-    """Returns the calls that show a finding, indented."""
-    return [f"    {call}" for call in finding.shown.calls]
+    """Returns the calls that show a finding, or the reason why no calls are shown, indented."""
+    reason = [f"(no calls: {finding.shown.reason})"] if finding.shown.reason else []
+    return [f"    {line}" for line in finding.shown.calls or reason]
 
 
 def _title(rule: Rule) -> str:

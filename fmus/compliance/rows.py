@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
 from fmus.compliance.fmu_file import FmuFile, etree
+from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, Condition, Rule, Stage, add_rule, always
 from fmus.compliance.sentences import sentences_of
 
@@ -41,7 +42,10 @@ def _told(source: Any, subjects: Iterable[T], *cases: Case[T]) -> Iterator[str]:
     for subject in subjects:
         for is_wrong, message in cases:
             if value := is_wrong(subject, source):
-                yield message.format_map(_Names(subject=subject, value=value))
+                text = message.format_map(_Names(subject=subject, value=value))
+                if isinstance(source, Probe):
+                    source.shared.subjects.setdefault(text, subject)
+                yield text
                 break
 
 

@@ -125,10 +125,14 @@ class NotApplicableError(Exception):
 
 @dataclass(frozen=True)
 class Shown:
-    """Calls that show a finding, a line for each, and programs that make them, by file name."""
+    """Calls that show a finding, a line for each, and programs that make them, by file name.
+
+    reason: why there are no calls
+    """
 
     calls: tuple[str, ...] = ()
     programs: Mapping[str, str] = field(default_factory=dict[str, str])
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -284,14 +288,13 @@ def registered(stage: Stage) -> tuple[Rule, ...]:
 
 
 def of_fmi3(result: Result) -> Result:
-    """Returns a result of behaviour with the names of functions in FMI 3.0.
-
-    It has no programs, which call functions of FMI 2.0.
-    """
+    """Returns a result of behaviour with the names of functions in FMI 3.0."""
     # fmi3EnterInitializationMode has the arguments of fmi2SetupExperiment, which stands before it
     shown = {
-        names_of_fmi3(message): Shown(
-            tuple(names_of_fmi3(call) for call in one.calls if not call.endswith(f"{_ENTER}()"))
+        names_of_fmi3(message): replace(
+            one,
+            calls=tuple(names_of_fmi3(call) for call in one.calls if not call.endswith(f"{_ENTER}()")),
+            reason=names_of_fmi3(one.reason),
         )
         for message, one in result.shown.items()
     }

@@ -1,7 +1,7 @@
 """Calls on one instance of an FMU, written down first and played in one message."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -20,6 +20,7 @@ VECTORS = (
 _LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
+PRINTED = "printed"  # a change that is a number of bytes
 _STATES = {  # function -> state that it leads to; `actions` has the states of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
@@ -35,9 +36,9 @@ _MODES = {  # function -> mode of model exchange that it leads to
 class CallError(Exception):
     """A call that did not succeed; names the call, its status and the messages that the FMU logged."""
 
-    def __init__(self, message: str, status: int | None = None) -> None:
+    def __init__(self, message: str, status: int | None = None, reply: "Reply | None" = None) -> None:
         super().__init__(message)
-        self.status = status
+        self.status, self.reply = status, reply
 
 
 class DefectError(Exception):
@@ -65,7 +66,7 @@ class Reply:
 
     function: of FMI, the latest that the call has called
     reason: why a step for model exchange is discarded although no call failed
-    words: for the variables that it sets or reads, in messages
+    words: for the variables that it sets or reads, in messages; script: whose call it replies to
     """
 
     function: str
@@ -78,6 +79,7 @@ class Reply:
     is_step: bool = False
     reason: str = ""
     words: str = ""
+    script: Any = field(default=None, repr=False, compare=False)
 
     @property
     def ok(self) -> bool:
@@ -163,7 +165,8 @@ class Script:
         self.probe, self.options = probe, options  # a `Probe`, whose module imports this one
         self.calls: list[tuple[Any, ...]] = []
         self.replies: list[Reply] = []
-        self.creation, self.end = Reply("fmi2Instantiate", ""), Reply("fmi2FreeInstance", "")
+        self.creation = Reply("fmi2Instantiate", "", script=self)
+        self.end = Reply("fmi2FreeInstance", "", script=self)
         self.is_forbidden = False
         self.state = "instantiated"
         self.parts = [0]
@@ -193,7 +196,7 @@ class Script:
 
     def call(self, method: str, *arguments: Any) -> Reply:
         """Adds a call of a function of FMI, or of a method of `CalledInstance`; lists become arrays."""
-        reply = Reply("", self.state, is_step=method in STEPS)
+        reply = Reply("", self.state, is_step=method in STEPS, script=self)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
         self.state = _STATES.get(method, self.state)

@@ -194,7 +194,9 @@ def completed_step_without_need_has_no_effect(probe: Probe) -> Iterator[str]:
             yield f"{reply.function} asks for {event.words}: expected that it need not be called"
 
     yield from events.of_events(probe, asked, **options)
-    called = paths.rows(probe, partial(paths.with_options, f"where {reply.function} is called", options))
+    called = paths.rows(
+        probe, partial(paths.with_options, f"where {reply.function} is called", options, paths.SUMMED)
+    )
     yield from differences(probe, [_row(f"after {reply.function}", (*first, read)), *called])
 
 

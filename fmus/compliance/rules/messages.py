@@ -13,7 +13,17 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.lifecycle import MANY_STEPS
-from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, Action, CallError, Message, Reply, Script
+from fmus.compliance.script import (
+    ARGUMENTS,
+    PENDED,
+    PRINTED,
+    UNWRITTEN,
+    Action,
+    CallError,
+    Message,
+    Reply,
+    Script,
+)
 from fmus.compliance.traces import generator, paths
 from fmus.compliance.traces.table import NAME, tour
 from fmus.fmi import binding
@@ -30,7 +40,6 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
 _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 # as in "100 % sure" or "5% of"; C gives the blank no effect
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scpouxX](?=[a-zA-Z])")
-_PRINTED = "printed"
 _CALLS_THAT_LOG = do.begin, do.step(2), do.glance_all, do.terminate
 _SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
@@ -111,6 +120,7 @@ class _Change(NamedTuple):
     setting: str
     before: str
     after: str
+    reply: Reply
 
 
 def _is_of_floating_point(change: _Change, _: Probe) -> str:
@@ -138,9 +148,9 @@ def _changes(probe: Probe) -> Iterator[_Change]:
                 continue
             told.add((setting, before, after))
             function = before if setting in (ARGUMENTS, UNWRITTEN) else reply.function
-            yield _Change(function, setting, before, after)
+            yield _Change(function, setting, before, after, reply)
         if reply.printed:
-            yield _Change(reply.function, _PRINTED, "", str(reply.printed))
+            yield _Change(reply.function, PRINTED, "", str(reply.printed), reply)
 
 
 def _set_odd_parameters(probe: Probe) -> None:
@@ -200,7 +210,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
      (_is_of_floating_point, "{function} changes the {value}: expected it restored")),
     row("process-settings-are-restored", _changes,
      (lambda c, probe: not _is_of_floating_point(c, probe)
-      and c.setting not in (ARGUMENTS, UNWRITTEN, PENDED, _PRINTED)
+      and c.setting not in (ARGUMENTS, UNWRITTEN, PENDED, PRINTED)
       and (c.after or "as at first", c.before or "no change"),
       "{function} changes the {setting}: {value[0]}, expected {value[1]}")),
     row("arguments-are-not-written", _changes,
@@ -210,7 +220,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
       "{function} returned ok and left a value unwritten, or wrote no Boolean: expected each written")),
     row("statuses-are-legal", lambda probe: tour(probe).script.replies, _WRONG_STATUS),
     row("nothing-is-printed", _changes,
-     (lambda c, _: c.setting == _PRINTED,
+     (lambda c, _: c.setting == PRINTED,
       "{function} prints {after} bytes to standard output or standard error: expected none"),
      clause="advice: messages belong to the logger"),
 ))  # fmt: skip

@@ -2,14 +2,15 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from fmus.compliance.differential import Row
-from fmus.compliance.probe import Probe
-from fmus.compliance.script import Expected, Reading, Reply, Script
-from fmus.compliance.traces.shrink import Case, Place
-from fmus.compliance.values import same
+from fmus.compliance.probe import Probe, Shared
+from fmus.compliance.script import PRINTED, Expected, Message, Reading, Reply, Script
+from fmus.compliance.traces.replay import CREATION, END, Case, Place
+from fmus.compliance.values import same, texts
 
 
 def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], message: str) -> Case | None:
@@ -35,6 +36,51 @@ def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], mess
             if finding and reply.status not in (None, *expected):
                 return Case([play, *others], [(0, _index(play, reply))], partial(_returns, reply))
     return None
+
+
+def case_of_subject(shared: Shared, subject: Any, message: str) -> Case | None:
+    """Returns the case of a message that is about one reply, or about what came with it, if it is known."""
+    runs = shared.played.values()
+    reply = getattr(subject, "reply", subject)
+    if isinstance(subject, Message):
+        heard = (r for run in runs for r in run.everything if any(m is subject for m in r.messages))
+        reply = shared.log.get(subject) or next(heard, None)
+    elif subject is None:
+        reply = next((r for problem, r in shared.failed.items() if problem in message), None)
+    if reply is None or reply.script is None:
+        return next(_of_a_value(shared, message), None)
+    script: Script = reply.script
+    ends = {id(script.creation): CREATION, id(script.end): END}
+    place = ends[id(reply)] if id(reply) in ends else _index(script, reply)
+    return Case([script], [(0, place)], partial(_speaks, reply, subject))
+
+
+def _of_a_value(shared: Shared, message: str) -> Iterator[Case]:
+    """Yields the cases of a message that begins with a variable and a value, in the runs that read that."""
+    name = message.split(" is ", 1)[0]
+    for run in shared.played.values():
+        for reading in run.readings:
+            read: dict[str, Any] = reading.values if reading.ok else {}
+            if name in read and message.startswith(f"{name} is {texts(read[name])[0]} "):
+                place, element = _place(run, reading, name)
+                yield Case([run], [(0, place)], partial(_is_value, read[name]), [element])
+
+
+def _is_value(known: Any, seen: Sequence[Any]) -> bool:
+    (value,) = seen
+    return same(known, bytes.fromhex(value) if isinstance(known, bytes) and isinstance(value, str) else value)
+
+
+def _speaks(known: Reply, subject: Any, replies: Sequence[Reply]) -> bool:
+    """Whether a reply is as the known one in what a message is about."""
+    (reply,) = replies
+    if isinstance(subject, Message):
+        return any(replace(m, given_name=subject.given_name) == subject for m in reply.messages)
+    if subject is None or subject is known:
+        is_silent = not reply.messages and not known.messages
+        return _returns(known, replies) and (is_silent or bool(reply.messages and known.messages))
+    changed = {setting for setting, *_ in reply.changed}
+    return subject.setting in changed or (subject.setting == PRINTED and reply.printed > 0)
 
 
 def _differ(tolerance: float, scale: float, *seen: Any) -> bool:

@@ -1,16 +1,17 @@
 """A short trace of calls as text, and as programs of C and of FMPy that make the same calls."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, groupby
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Shown
+from fmus.compliance.rule import Shown, names_of_fmi3
 from fmus.compliance.script import KINDS
-from fmus.compliance.traces.shrink import CREATE, FREE, Call, ShortTrace
-from fmus.fmi.binding import status_name
+from fmus.compliance.traces import fmi3_programs
+from fmus.compliance.traces.replay import CREATE, FREE, Call, ShortTrace
+from fmus.fmi.binding import EVENT_MODE, status_name
 
 _MOST_LINES = 40  # of a trace in a report
 _MOST_STEPS = 3  # in succession
@@ -23,8 +24,11 @@ _VECTORS = "Derivatives", "EventIndicators", "ContinuousStates", "NominalsOfCont
 def shown(trace: ShortTrace, fmu: FmuFile, finding: str) -> Shown:
     """Returns the lines of a trace that shows a finding, with both programs."""
     trace = _with_own_bytes(trace)
+    told = tuple(lines(trace, fmu))
+    if fmu.fmi == 3:
+        finding, trace = names_of_fmi3(finding), replace(trace, calls=[*fmi3_programs.own_calls(trace.calls)])
     programs = {"c": c_program(trace, fmu, finding), "py": fmpy_program(trace, fmu, finding)}
-    return Shown(tuple(lines(trace, fmu)), programs)
+    return Shown(told, programs)
 
 
 def _with_own_bytes(trace: ShortTrace) -> ShortTrace:
@@ -93,14 +97,22 @@ def _text(argument: Any) -> str:
 
 _C_TYPES = {"c_double": "fmi2Real", "c_uint": "fmi2ValueReference", "c_int": "fmi2Integer"}
 _C_RESULTS = {"c_double": ("reals", "%.17g"), "c_char_p": ("texts", "%s"), "c_int": ("numbers", "%d")}
-_C_ADDRESSES = {"c_ulong": "&size", "EventInfo": "&info", "c_int": "numbers", "c_double": "reals"}
+_C_ADDRESSES = {
+    "c_ulong": "&size",
+    "EventInfo": "&info",
+    "c_int": "numbers",
+    "c_double": "reals",
+    "c_char_p": "texts",
+}
 _C_OTHERS = {"state": "states[{}]", "state&": "&states[{}]", "bytes": "bytes"}
 
 
 def c_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
     """Returns a program that loads the library of the unpacked FMU and makes the calls."""
-    body = chain(*map(_c_lines, trace.calls))
-    return _C_PROGRAM.format(
+    body = chain(*(_c_lines(call, fmu) for call in trace.calls))
+    is_fmi3 = fmu.fmi == 3
+    return (fmi3_programs.c_template(fmu) if is_fmi3 else _C_PROGRAM).format(
+        **(fmi3_programs.c_parts(fmu) if is_fmi3 else {}),
         finding=finding.replace("*/", "* /"),
         library=fmu.host_library,
         guid=json.dumps(fmu.root.get("guid", "")),
@@ -116,7 +128,12 @@ def _count(trace: ShortTrace) -> int:
     return max(call.instance for call in trace.calls) + 1
 
 
-def _c_lines(call: Call) -> Iterator[str]:
+def _c_lines(call: Call, fmu: FmuFile) -> Sequence[str]:
+    usual = [*_c_lines_of_fmi2(call)]
+    return fmi3_programs.c_lines(call, fmu, usual) if fmu.fmi == 3 else usual
+
+
+def _c_lines_of_fmi2(call: Call) -> Iterator[str]:
     if call.function in (CREATE, FREE):
         instance, arguments = f"instances[{call.instance}]", ", ".join(map(json.dumps, call.arguments))
         created, freed = f"{instance} = create({arguments});", f"CALL({FREE})({instance});"
@@ -207,15 +224,20 @@ int main(int argc, char **argv) {{
 
 def fmpy_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
     """Returns a program that makes the calls by FMPy."""
-    kind = "FMU2Model" if fmu.is_model_exchange else "FMU2Slave"
+    kind = f"FMU{fmu.fmi}{'Model' if fmu.is_model_exchange else 'Slave'}"
     element = fmu.root.find("ModelExchange" if fmu.is_model_exchange else "CoSimulation")
     identifier = element.get("modelIdentifier") if element is not None else ""
+    uses_events = bool(fmu.uses & EVENT_MODE)
+    helpers = fmi3_programs.FMPY_HELPERS.format(uses_events=uses_events) if fmu.fmi == 3 else ""
     return _FMPY_PROGRAM.format(
         finding=finding,
         kind=kind,
         guid=fmu.root.get("guid", ""),
         identifier=identifier,
-        body="\n".join(map(_fmpy_line, trace.calls)),
+        fmi=fmu.fmi,
+        helpers=helpers,
+        options=", eventModeUsed=True" if fmu.uses & EVENT_MODE else "",
+        body="\n".join(_fmpy_line(call, fmu) for call in trace.calls),
     )
 
 
@@ -228,7 +250,7 @@ import sys
 from ctypes import c_double
 
 from fmpy import extract
-from fmpy.fmi2 import {kind}
+from fmpy.fmi{fmi} import {kind}
 
 folder = extract(sys.argv[1])
 instances, states = {{}}, {{}}
@@ -236,9 +258,9 @@ instances, states = {{}}, {{}}
 
 def create(name, logging):
     fmu = {kind}(guid={guid!r}, unzipDirectory=folder, modelIdentifier={identifier!r}, instanceName=name)
-    fmu.instantiate(loggingOn=bool(logging))
+    fmu.instantiate(loggingOn=bool(logging){options})
     return fmu
-
+{helpers}
 
 {body}
 '''
@@ -271,7 +293,13 @@ _FMPY_LINES = {
 }
 
 
-def _fmpy_line(call: Call) -> str:
+def _fmpy_line(call: Call, fmu: FmuFile) -> str:
+    if fmu.fmi == 3:
+        return fmi3_programs.fmpy_line(call, fmu, _fmpy_line_of_fmi2(call))
+    return _fmpy_line_of_fmi2(call)
+
+
+def _fmpy_line_of_fmi2(call: Call) -> str:
     plain = [x[1] if isinstance(x, list) else x for x in call.arguments]
     if call.function == "fmi2SetupExperiment":
         given, tolerance, start, stops, stop = plain

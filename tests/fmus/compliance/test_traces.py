@@ -38,6 +38,14 @@ SHORTEST = {
         "fmi2GetFMUstate(state 0)",
         "fmi2GetFMUstate(state 1)",
     ],
+    "another instance name": [
+        "fmi2Instantiate('instance', loggingOn = fmi2True)",
+        "fmi2FreeInstance()",
+    ],
+    "a changed working directory": [
+        "fmi2Instantiate('instance of the tour', loggingOn = fmi2True)",
+        "fmi2FreeInstance()",
+    ],
 }
 
 
@@ -72,6 +80,11 @@ def test_a_finding_is_shown_by_calls_each_of_which_it_needs(name: str, tmp_path:
     assert [*_shown(_mutant(name, tmp_path)).calls] == SHORTEST[name]
 
 
+def test_a_finding_about_several_runs_has_the_reason_why_no_calls_show_it(tmp_path: Path) -> None:
+    shown = _shown(_mutant("logs categories that were not chosen", tmp_path))
+    assert (shown.calls, shown.reason) == ((), "none are known that show it alone")
+
+
 def test_programs_are_written_for_the_findings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fmu = _mutant("reset keeps parameters", tmp_path)
     assert main([str(fmu), "--reproduce", str(tmp_path / "programs"), "--seed", "3"]) == 1
@@ -84,7 +97,15 @@ def test_programs_are_written_for_the_findings(tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="the program of C loads a library as POSIX has it")
-@pytest.mark.parametrize("name", ["states without inputs", "derivatives have a history"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "states without inputs",
+        "derivatives have a history",
+        "the second element of an array is lost",
+        "derivatives of the states before",
+    ],
+)
 def test_both_programs_read_what_the_check_read(name: str, tmp_path: Path) -> None:
     fmu = _mutant(name, tmp_path)
     shown, headers = _shown(fmu), resources.files(fmpy) / "c-code"
@@ -94,8 +115,10 @@ def test_both_programs_read_what_the_check_read(name: str, tmp_path: Path) -> No
     extract_archive(fmu, tmp_path / "unpacked")
     compiler = [sys.executable, "-m", "ziglang", "cc", source, "-I", headers, "-ldl", "-o", program]
     subprocess.run(list(map(str, compiler)), check=True)
-    library = tmp_path / "unpacked" / library_name(fmu.stem, host_platform())
-    resource = (tmp_path / "unpacked" / "resources").as_uri()
+    of_fmi3 = FmuFile(fmu).is_fmi3
+    library = tmp_path / "unpacked" / library_name(fmu.stem, host_platform(), 3 if of_fmi3 else 2)
+    resources_folder = tmp_path / "unpacked" / "resources"
+    resource = f"{resources_folder}/" if of_fmi3 else resources_folder.as_uri()
     runs = [program, library, resource], [sys.executable, script, fmu]
     printed = [
         subprocess.run([*map(str, run)], check=True, capture_output=True, text=True).stdout for run in runs
