@@ -24,14 +24,13 @@ from fmus.compliance.rule import (
     Rule,
     Shown,
     Stage,
-    defect,
     messages_of,
     of_fmi3,
     of_version,
     registered,
-    without_folders,
 )
 from fmus.compliance.script import KINDS, CallError, DefectError, Script
+from fmus.compliance.texts import defect, without_folders
 from fmus.compliance.traces.cases import case_of
 from fmus.compliance.traces.programs import shown
 from fmus.compliance.traces.shrink import FREE, shrunk, shrunk_crash
