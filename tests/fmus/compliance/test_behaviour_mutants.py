@@ -38,7 +38,7 @@ OSCILLATORS = (
 EXCHANGES = "", "completed steps are not needed", "a hidden value of the start"
 QUICK = (
     "steps beyond the stop time", "keeps the pointer to its name", "a changed rounding mode",
-    "the process counts its steps", "lastSuccessfulTime is not written", "a crash where it is freed",
+    "the process counts its steps", "a crash where it is freed",
 )  # fmt: skip
 # the beginning of a message that names the cause
 FIRST_MESSAGES = {
