@@ -206,7 +206,7 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: Matrices) -
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: Matrices) -> State:
     of_pitch = _pitch_parameters(p)
-    u, u_pitch = _controls(state, p)
+    u, u_pitch = _controls(state, p, of_pitch)
     force, moment = _deliver(u.total, u_pitch.total, state.depth.interface.j, p, matrices)
     return State(
         axis.after_delivery(t, h, state.depth, inputs, u, force, p, matrices),
@@ -217,20 +217,21 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matric
 
 
 def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
-    u, u_pitch = _controls(state, p)
+    of_pitch = _pitch_parameters(p)
+    u, u_pitch = _controls(state, p, of_pitch)
     force, _ = _deliver(u.total, u_pitch.total, state.depth.interface.j, p, matrices)
     depth = asdict(axis.output(t, state.depth, p, matrices)) | {"voltage": force.voltage}
-    pitch = asdict(axis.output(t, state.pitch, _pitch_parameters(p), _pitch_matrices(matrices)))
+    pitch = asdict(axis.output(t, state.pitch, of_pitch, _pitch_matrices(matrices)))
     return Outputs(
         **depth,
-        **{of_pitch: pitch[name] for name, of_pitch in _OUTPUTS},
+        **{name: pitch[of_depth] for of_depth, name in _OUTPUTS},
         demanded_moment=u_pitch.total,
         estimated_pitch_rate=pitch["estimated_depth_rate"],
     )
 
 
-def _controls(state: State, p: Parameters) -> tuple[Control, Control]:
-    return axis.control(state.depth.law, p), axis.control(state.pitch.law, _pitch_parameters(p))
+def _controls(state: State, p: Parameters, of_pitch: Parameters) -> tuple[Control, Control]:
+    return axis.control(state.depth.law, p), axis.control(state.pitch.law, of_pitch)
 
 
 def _deliver(

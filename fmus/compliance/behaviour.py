@@ -22,14 +22,13 @@ from fmus.compliance.rule import (
     Result,
     Rule,
     Stage,
-    defect,
     messages_of,
     of_fmi3,
     of_version,
     registered,
-    without_folders,
 )
 from fmus.compliance.script import KINDS, CallError, DefectError
+from fmus.compliance.texts import defect, without_folders
 from fmus.compliance.traces.show import what_shows
 from fmus.errors import HostError, MissingExtraError
 from fmus.files import extract_archive

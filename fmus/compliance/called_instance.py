@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.script import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME, VECTORS
+from fmus.compliance.texts import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME, VECTORS
 from fmus.fmi import binding
 from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fmus.compliance.rule import ALLOCATIONS, Level, Result, repeated
+from fmus.compliance.rule import Level, Result, repeated
+from fmus.compliance.texts import ALLOCATIONS
 
 if TYPE_CHECKING:
     from fmus.compliance.report import Checked
@@ -168,17 +169,13 @@ def _judged(
 ) -> dict[Path, list[Result]]:
     """Returns the results of each FMU, of the rules of these names."""
     from fmus.compliance.examine import examine
-    from fmus.compliance.library_reader import close_reader
 
     results = dict[Path, list[Result]]()
     gc.set_threshold(ALLOCATIONS)
-    try:
-        with _progress(quiet, len(fmus)) as show:
-            for number, path in enumerate(fmus, 1):
-                show(f"check {number} of {len(fmus)}: {path.name}")
-                results[path] = examine(path, timeout, names, seed)
-    finally:
-        close_reader()
+    with _progress(quiet, len(fmus)) as show:
+        for number, path in enumerate(fmus, 1):
+            show(f"check {number} of {len(fmus)}: {path.name}")
+            results[path] = examine(path, timeout, names, seed)
     return results
 
 

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.rule import DEFECT
 from fmus.compliance.script import CallError, DefectError
+from fmus.compliance.texts import DEFECT
 from fmus.fmi.process import WorkerProcess
 
 Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments

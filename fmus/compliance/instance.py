@@ -13,18 +13,19 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fmus.compliance.called_instance import CalledInstance
 from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.rule import ALLOCATIONS, defect
-from fmus.compliance.script import STEPS
+from fmus.compliance.texts import ALLOCATIONS, STEPS, defect
 from fmus.fmi.binding import CO_SIMULATION, DISCARD, ERROR, FATAL, WARNING, Library
 from fmus.fmi.callbacks import CountingAllocator
-from fmus.fmi.model_description import Element
 from fmus.fmi.process import Parent
 from fmus.operating_system import limit_process
+
+if TYPE_CHECKING:
+    from fmus.fmi.model_description import Element  # it takes time to import, and FMI 2.0 does without
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
@@ -46,7 +47,7 @@ def _failed(method: str, status: int) -> int:
 
 
 def _loaded(
-    path: Path, interface: int, optional: Sequence[str], elements: Sequence[Element] | None
+    path: Path, interface: int, optional: Sequence[str], elements: Sequence["Element"] | None
 ) -> Library:
     if elements is None:
         return Library(path, interface, optional)
@@ -66,7 +67,7 @@ class LoadedFmu:
 
     def __init__(
         self, announced: mmap.mmap, printed: Path, library: Path, resources: Path, interface: int,
-        optional: Sequence[str], elements: Sequence[Element] | None,
+        optional: Sequence[str], elements: Sequence["Element"] | None,
     ) -> None:  # fmt: skip
         self._library = _loaded(library, interface, optional, elements)
         self._resources, self._printed = resources, printed

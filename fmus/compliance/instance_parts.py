@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.rule import without_folders
+from fmus.compliance.texts import without_folders
 from fmus.fmi.binding import OK, WARNING, BoundInstance, Library
 from fmus.fmi.callbacks import Callbacks, Log, Logger
 

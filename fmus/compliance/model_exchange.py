@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fmus.compliance.called_instance import CalledInstance
-from fmus.compliance.script import UNWRITTEN
+from fmus.compliance.texts import UNWRITTEN
 from fmus.fmi.binding import DISCARD, MODEL_EXCHANGE, OK, WARNING
 
 _MOST_SUBSTEPS, _MOST_EVENTS, _MOST_ITERATIONS = 500, 100, 100

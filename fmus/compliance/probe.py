@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
-from fmus.compliance.script import USUAL_NAME, Action, CallError, Groups, Message, Reply, Script, grouped
+from fmus.compliance.script import Action, CallError, Groups, Message, Reply, Script, grouped
+from fmus.compliance.texts import USUAL_NAME
 from fmus.compliance.variable import Variable, number
 from fmus.fmi import binding
 from fmus.fmi.binding import DISCARD

@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from fmus.compliance.sentences import ADVICE, clauses_of, levels, rule_table, titles
+from fmus.compliance.texts import without_folders
 
 Check = Callable[[Any], Iterable[str] | None]
 Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
@@ -158,25 +159,9 @@ class Result:
         return "not applicable" if self.not_applicable else "passed"
 
 
-def defect(error: Exception) -> str:
-    """Returns the reason why a rule that raises an error is not judged: the fault is not the FMU's."""
-
-    return f"{DEFECT} ({type(error).__name__}: {error}), not by the FMU: please report it"
-
-
-ALLOCATIONS = 50_000
-"""Number of objects between two collections of garbage: a check keeps most of what it makes."""
-
-DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", *reversed(Level))
 RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registered` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
-# names of temporary folders are random: a finding would be another one in each run
-_PREFIXES = "fmu-check-", "l1-depth-process-"
-_TEMPORARY = re.compile(
-    rf"(file:/*(?=/))?(?:[A-Za-z]:)?(?:[/\\]+[^/\\\s:'\"]+)*[/\\]+(?:{'|'.join(_PREFIXES)})\w{{8}}"
-    r"([/\\]+unpacked)?([/\\]+)?"
-)
 
 
 def always(_: Any) -> str:
@@ -247,16 +232,6 @@ def messages_of(check: Iterable[str]) -> tuple[str, ...]:
     if left < 2:  # a number alone would hide one message
         return tuple(messages)
     return (*messages[:_MOST_MESSAGES], f"{left} more of this kind")
-
-
-def without_folders(text: str) -> str:
-    """Returns a text with paths relative to the unpacked FMU, and "..." for other temporary folders."""
-
-    def shown(match: re.Match[str]) -> str:
-        scheme, unpacked, end = match.groups("")
-        return "" if unpacked and end and not scheme else f"{scheme and scheme + '/'}...{end}"
-
-    return _TEMPORARY.sub(shown, text) if any(prefix in text for prefix in _PREFIXES) else text
 
 
 def _plain(text: str) -> str:

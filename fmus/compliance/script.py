@@ -6,21 +6,13 @@ from functools import cache
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
+from fmus.compliance.texts import STEPS, VECTORS
 from fmus.compliance.variable import Variable
 from fmus.errors import listed
 from fmus.fmi.binding import WARNING, status_name
 
-USUAL_NAME = "instance"
 KINDS = ("Real", "Integer", "Boolean", "String")
-STEPS = ("do_step", "do_steps")
-VECTORS = (
-    "fmi2GetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators",
-    "fmi2GetNominalsOfContinuousStates",
-)  # fmt: skip
 _LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
-UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
-ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
-PRINTED = "printed"  # a change that is a number of bytes
 _STATES = {  # function -> state that it leads to; `actions` has the states of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",

@@ -8,8 +8,9 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition, without_folders
+from fmus.compliance.rule import Condition
 from fmus.compliance.script import Expected, Reading
+from fmus.compliance.texts import without_folders
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}

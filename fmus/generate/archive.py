@@ -6,23 +6,24 @@ platforms were built. The GUID of an FMU of the python flavour follows from ever
 PythonFMU's; docs/fidelity.md lists the limits that follow from this.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from importlib.metadata import version
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 from fmus.block import Block
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
-from fmus.generate.derivatives import Sensitivities
 from fmus.generate.describe import ModelExchange, fmi3_description, model_description
 from fmus.generate.documentation.page import documentation, licenses
-from fmus.generate.native import COMPILED, c_sources
 from fmus.generate.python import python_modules
-from fmus.generate.trace import Traced
 from fmus.guid import GUID, with_guid
 from fmus.native import sbom
 from fmus.platforms import PLATFORMS, library_name
+
+if TYPE_CHECKING:
+    from fmus.generate.trace import Traced  # it loads CasADi, which the FMU of a class does without
 
 OF_PYTHON = {
     "canInterpolateInputs": "false",
@@ -37,12 +38,15 @@ _OF_CO_SIMULATION = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder":
 _WRITERS = ("l1-depth", "casadi")
 
 
-def native_members(traced: Traced, reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:
+def native_members(traced: "Traced", reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of a native FMU without its libraries.
 
     reals_only: whether every variable is a Real, for importers that support no other type
     fmi: the version of the standard, 2 or 3
     """
+    from fmus.generate.derivatives import Sensitivities
+    from fmus.generate.native import COMPILED, c_sources
+
     block, files, modes = traced.block, COMPILED[fmi], Sensitivities(traced)
     sources = c_sources(traced, modes, GUID, reals_only, fmi)
     if fmi == 3:
@@ -57,15 +61,17 @@ def native_members(traced: Traced, reals_only: bool = False, fmi: int = 2) -> tu
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **documentation(block, *files, reals_only=reals_only, fmi=fmi),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64", fmi=fmi),
-        "sources/buildDescription.xml": _build_description(block.name, fmi),
+        "sources/buildDescription.xml": _build_description(block.name, files, fmi),
         **bill_of_materials(block, {}, fmi),
         "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }
     return with_guid(members, recipe=sbom.RECIPE)
 
 
-def python_members(traced: Traced) -> tuple[str, dict[str, bytes]]:
+def python_members(traced: "Traced") -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of an FMU that runs the block's own Python source."""
+    from fmus.generate.derivatives import Sensitivities
+
     block, initial = traced.block, Sensitivities(traced).of_settable()
     files = {path: text.encode() for path, text in python_modules(block).items()}
     return with_resources(block, files, model_description(block, GUID, OF_PYTHON, initial))
@@ -97,11 +103,11 @@ def _binaries(name: str) -> dict[str, bytes]:
     }
 
 
-def _build_description(name: str, fmi: int) -> bytes:
+def _build_description(name: str, compiled: Iterable[str], fmi: int) -> bytes:
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
     files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
-    for file in COMPILED[fmi]:
+    for file in compiled:
         ElementTree.SubElement(files, "SourceFile", name=file)
     unprefixed = {"name": f"FMI{fmi}_OVERRIDE_FUNCTION_PREFIX", "optional": "true"}
     unprefixed["description"] = "for a shared library: functions without the prefix of a static one"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from fmus.block import Block
@@ -21,8 +21,10 @@ from fmus.block.units import display, per_second, rate, unit
 from fmus.block.variables import BlockVariable
 from fmus.errors import ExportError
 from fmus.files import xml_document
-from fmus.generate.derivatives import Mode, Sensitivities
-from fmus.generate.trace import Traced
+
+if TYPE_CHECKING:  # these load CasADi, which the description of a class does without
+    from fmus.generate.derivatives import Mode, Sensitivities
+    from fmus.generate.trace import Traced
 
 LOG_CATEGORIES = {
     "logStatusWarning": "Something that the user should know.",
@@ -271,7 +273,7 @@ _INDICES = re.compile(r"\[[\d,]+\]")
 _TIME = "time"
 
 
-def other_variables(traced: Traced) -> tuple[BlockVariable, ...]:
+def other_variables(traced: "Traced") -> tuple[BlockVariable, ...]:
     """Returns the variables that FMI 3.0 alone has: the time and, as an array, the event indicators."""
     block = traced.block
     reference = len(block.variables) + len(block.states)
@@ -333,14 +335,14 @@ def _common(v: BlockVariable) -> tuple[Any, ...]:
     return (v.type, v.variability, v.unit, v.display_unit, v.minimum, v.maximum, v.nominal, v.enumeration)
 
 
-def extents(traced: Traced) -> list[int]:
+def extents(traced: "Traced") -> list[int]:
     """Returns by value reference the scalar count of the variable that begins there, 0 inside an array."""
     block = traced.block
     scalars = [group for *_, group in arrays((*block.variables, *block.states, *other_variables(traced)))]
     return [extent for group in scalars for extent in (len(group), *[0] * (len(group) - 1))]
 
 
-def fmi3_description(traced: Traced, modes: Sensitivities, token: str) -> bytes:
+def fmi3_description(traced: "Traced", modes: "Sensitivities", token: str) -> bytes:
     """Returns the XML of FMI 3.0 of a block; token: the instantiation token.
 
     Raises ExportError for a unit that `fmus.block.units` does not define.
@@ -374,8 +376,8 @@ def fmi3_description(traced: Traced, modes: Sensitivities, token: str) -> bytes:
 
 def _add_structure(
     structure: Any,
-    traced: Traced,
-    modes: Sensitivities,
+    traced: "Traced",
+    modes: "Sensitivities",
     groups: Sequence[tuple[str, list[int], list[BlockVariable]]],
 ) -> None:
     first = {v.value_reference: scalars[0].value_reference for *_, scalars in groups for v in scalars}
@@ -395,7 +397,7 @@ def _add_structure(
         _add(structure, "EventIndicator", valueReference=str(v.value_reference))
 
 
-def _of_arrays(modes: Iterable[Mode], first: Mapping[int, int]) -> dict[int, set[int]]:
+def _of_arrays(modes: Iterable["Mode"], first: Mapping[int, int]) -> dict[int, set[int]]:
     """Returns the dependencies between whole variables that hold in one of the modes."""
     found: dict[int, set[int]] = {}
     for mode in modes:

@@ -12,7 +12,8 @@ from fmus.compliance.fmu_file import MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.rules import events
-from fmus.compliance.script import VECTORS, Action, Script
+from fmus.compliance.script import Action, Script
+from fmus.compliance.texts import VECTORS
 from fmus.compliance.traces import paths
 from fmus.fmi.binding import DISCARD
 

@@ -13,7 +13,8 @@ from fmus.compliance import actions as do
 from fmus.compliance.fmu_file import MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
-from fmus.compliance.script import KINDS, VECTORS
+from fmus.compliance.script import KINDS
+from fmus.compliance.texts import VECTORS
 from fmus.compliance.traces.generator import Trace, excited
 from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
 from fmus.compliance.variable import Variable, is_true

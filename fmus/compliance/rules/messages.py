@@ -13,17 +13,8 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.lifecycle import MANY_STEPS
-from fmus.compliance.script import (
-    ARGUMENTS,
-    PENDED,
-    PRINTED,
-    UNWRITTEN,
-    Action,
-    CallError,
-    Message,
-    Reply,
-    Script,
-)
+from fmus.compliance.script import Action, CallError, Message, Reply, Script
+from fmus.compliance.texts import ARGUMENTS, PENDED, PRINTED, UNWRITTEN
 from fmus.compliance.traces import generator, paths
 from fmus.compliance.traces.table import NAME, tour
 from fmus.fmi import binding

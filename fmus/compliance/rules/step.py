@@ -12,7 +12,8 @@ from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, values_of
-from fmus.compliance.script import PENDED, Script
+from fmus.compliance.script import Script
+from fmus.compliance.texts import PENDED
 from fmus.compliance.traces import table
 from fmus.compliance.variable import Variable
 from fmus.fmi.binding import DISCARD, PENDING

@@ -8,7 +8,8 @@ from typing import Any
 
 from fmus.compliance.differential import Row
 from fmus.compliance.probe import Probe, Shared
-from fmus.compliance.script import PRINTED, Expected, Message, Reading, Reply, Script
+from fmus.compliance.script import Expected, Message, Reading, Reply, Script
+from fmus.compliance.texts import PRINTED
 from fmus.compliance.traces.replay import CREATION, END, Case, Place
 from fmus.compliance.values import same, texts
 

@@ -11,7 +11,8 @@ from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.probe import Probe
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import STEPS, USUAL_NAME, CallError, DefectError, Reply, Script
+from fmus.compliance.script import CallError, DefectError, Reply, Script
+from fmus.compliance.texts import STEPS, USUAL_NAME
 from fmus.fmi.callbacks import CountingAllocator
 
 CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"

@@ -6,8 +6,9 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe, Shared
-from fmus.compliance.rule import NotJudgedError, Shown, defect, messages_of
+from fmus.compliance.rule import NotJudgedError, Shown, messages_of
 from fmus.compliance.script import CallError, DefectError, Script
+from fmus.compliance.texts import defect
 from fmus.compliance.traces.cases import case_of, case_of_subject
 from fmus.compliance.traces.programs import shown
 from fmus.compliance.traces.replay import FREE, ShortTrace

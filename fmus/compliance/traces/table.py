@@ -9,7 +9,8 @@ from fmus.compliance import values
 from fmus.compliance.differential import Row, late_lead
 from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from fmus.compliance.probe import Probe
-from fmus.compliance.script import KINDS, VECTORS, Action, Reply, Script
+from fmus.compliance.script import KINDS, Action, Reply, Script
+from fmus.compliance.texts import VECTORS
 from fmus.fmi.binding import ERROR, FATAL
 
 NAME = "instance of the tour"

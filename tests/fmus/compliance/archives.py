@@ -38,11 +38,6 @@ def broken_rules(path: Path, timeout: float = 100) -> dict[str, tuple[str, ...]]
     return {r.rule.name: r.messages for r in examine(path, timeout) if r.messages}
 
 
-def errors(path: Path) -> set[str]:
-    """Rules that the FMU breaks, of those whose level is error."""
-    return {r.rule.name for r in examine(path) if r.outcome == "error"}
-
-
 def patched(patch: dict[str, str], folder: Path) -> Path:
     """A native FMU; in its sources each key of the patch is replaced by its value."""
     _, content = native_members(trace(builder.load_block(PATCHED)))

@@ -195,6 +195,7 @@ def test_a_finding_that_another_finding_hinders_from_being_repeated_stays(tmp_pa
     assert [name for name, result in results.items() if result.messages] == ["values-are-written"]
 
 
+@pytest.mark.slow
 def test_an_instance_of_the_other_interface_changes_nothing(tmp_path: Path) -> None:
     created = "if (instance) instance->log.enabled = log_mask(loggingOn);"
     patch = {

@@ -1,8 +1,6 @@
 """The check finds nothing in our FMUs, and ends with findings whatever a file holds."""
 
-from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -10,20 +8,15 @@ from fmus.compliance.examine import examine
 from fmus.compliance.rule import all_rules, of_version
 from fmus.generate import builder
 from tests.mutants.mutant import broken_rules as static_broken_rules
-from tests.shared_builds import KINDS, Fmus
+from tests.shared_builds import KINDS, Fmus, slow_but
 
-from .archives import PYTHONFMU_ERRORS, broken_rules, errors
+from .archives import PYTHONFMU_ERRORS, broken_rules
 
 OURS = "L1DepthController"  # of all types
 WITHOUT_A_STATE_OR_AN_INPUT = "ThrustAllocation", "WaveSource"
 
 
-def some_by_default(names: Iterable[str], default: Collection[str]) -> list[Any]:
-    """The names as parameters; but for the default ones they are slow."""
-    return [name if name in default else pytest.param(name, marks=pytest.mark.slow) for name in names]
-
-
-@pytest.mark.parametrize("name", some_by_default(builder.block_names(), [OURS]))
+@pytest.mark.parametrize("name", slow_but([OURS], builder.block_names()))
 def test_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
     assert broken_rules(built[name]) == {}
 
@@ -33,9 +26,13 @@ def test_the_files_of_our_native_fmus_break_no_rule(built: Fmus, name: str) -> N
     assert static_broken_rules(built[name]) == {}
 
 
-@pytest.mark.parametrize("name", some_by_default(KINDS, ["ExamplePlant"]))
-def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(python_built: Fmus, name: str) -> None:
-    assert errors(python_built[name]) == PYTHONFMU_ERRORS
+@pytest.mark.parametrize("name", slow_but(["ExamplePlant"], KINDS))
+def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks_and_are_judged_to_the_end(
+    python_built: Fmus, name: str
+) -> None:
+    results = examine(python_built[name])
+    assert [r.rule.name for r in results] == [rule.name for rule in of_version(all_rules(), 2)]
+    assert {r.rule.name for r in results if r.outcome == "error"} == PYTHONFMU_ERRORS
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x05\x06" + bytes(18)])
@@ -43,8 +40,3 @@ def test_garbage_is_a_finding_and_never_a_crash(tmp_path: Path, content: bytes) 
     path = tmp_path / "garbage.fmu"
     path.write_bytes(content)
     assert {r.rule.name for r in examine(path) if r.messages} & {"archive-is-zip", "archive-has-description"}
-
-
-def test_a_foreign_fmu_is_judged_to_the_end(foreign: Fmus) -> None:
-    names = [r.rule.name for r in examine(foreign["Lag"], timeout=10)]
-    assert names == [rule.name for rule in of_version(all_rules(), 2)]

@@ -10,7 +10,8 @@ import pytest
 from fmus.compliance import findings
 from fmus.compliance.examine import examine
 from fmus.compliance.findings import IN_BASELINE, Finding, Waiver
-from fmus.compliance.rule import all_rules, without_folders
+from fmus.compliance.rule import all_rules
+from fmus.compliance.texts import without_folders
 from tests.mutants.slaves import write_slave
 
 RULES = {rule.name: rule for rule in all_rules()}

@@ -47,11 +47,9 @@ def test_ours_breaks_no_rule(content: Members, names: tuple[str, ...] | None, tm
 @pytest.mark.parametrize(
     ("mutation", "rule"),
     [
-        ("a reset that does nothing", "reset-gives-the-start-values"),
         ("a state that is not restored", "state-restores"),
         ("any token", "wrong-guid-is-refused"),
         ("step mode is not entered", "steps-with-events"),
-        ("an intermediate update before the step", "steps-with-events"),
     ],
 )
 def test_behaviour_is_found_by_its_rule_alone(mutation: str, rule: str, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from fmus.compliance.traces.generator import Trace, traces
 from fmus.files import extract_archive
 from fmus.platforms import host_platform, library_name
 from tests.mutants.slaves import RUN_MUTANTS
+from tests.shared_builds import slow_but
 
 # mutant -> calls that show it: each is needed
 SHORTEST = {
@@ -75,7 +76,7 @@ def test_a_seed_gives_the_same_traces_again_and_another_gives_others(tmp_path: P
     assert [len(trace.legs) for trace in first] == [7, 7, 7, 7]
 
 
-@pytest.mark.parametrize("name", SHORTEST)
+@pytest.mark.parametrize("name", slow_but(["reset keeps parameters"], SHORTEST))
 def test_a_finding_is_shown_by_calls_each_of_which_it_needs(name: str, tmp_path: Path) -> None:
     assert [*_shown(_mutant(name, tmp_path)).calls] == SHORTEST[name]
 

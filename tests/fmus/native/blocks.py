@@ -1,15 +1,14 @@
 """A small block with everything that the C layer distinguishes, which compiles in a moment."""
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-import pytest
-
 from fmus.block import Block, variable
 from fmus.generate import builder
 from fmus.numerics import floor, where
+from tests.shared_builds import slow_but
 
 from .exchanged import BALL, GROWTH, TANK
 
@@ -132,13 +131,12 @@ SMALL = {block.name: block for block in (EVERYTHING, ITEMS, BALL, GROWTH, TANK)}
 """Blocks of this file and of `exchanged` by name."""
 
 
-def in_fmi3(names: Iterable[str]) -> list[Any]:
+def in_fmi3(names: Collection[str]) -> list[Any]:
     """Returns names as parameters of a test of FMI 3.0, of which all but three blocks are marked slow.
 
     The layer is that of FMI 2.0, for which there are tests of more kinds.
     """
-    quick = ("ExamplePlant", "RovDepthPlant", "WaveSource")
-    return [name if name in quick else pytest.param(name, marks=pytest.mark.slow) for name in names]
+    return slow_but(("ExamplePlant", "RovDepthPlant", "WaveSource"), names)
 
 
 def block_named(name: str) -> Block:

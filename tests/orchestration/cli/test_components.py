@@ -186,15 +186,3 @@ def test_a_vehicle_of_ten_lines_follows_the_laws_of_motion(
         rate += 0.02 * (force - 2.5 * rate) / 5.5
         depth += 0.02 * rate
     assert depth > 0.0
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    ["run nominal-l1 --plant", "sweep monte-carlo --plant", "package nominal-l1 --plant"],
-)
-def test_every_command_that_takes_a_vehicle_takes_it_by_the_same_names(
-    refused: Command, arguments: str
-) -> None:
-    assert "no block 'RovDepthPlan', and a path must end in .fmu, .py" in refused(
-        *arguments.split(), "RovDepthPlan"
-    )

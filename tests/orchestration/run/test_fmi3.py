@@ -48,12 +48,12 @@ def dives(built: Fmus, fmi3_built: Fmus, vehicle_fmus: None) -> Any:
     return load
 
 
-@pytest.mark.parametrize("versions", [(3, 2), (2, 3), (3, 3)])
 @pytest.mark.parametrize("name", ["nominal-extended", "nominal-extended-smooth"])
-def test_a_dive_is_that_of_fmi_2_bit_for_bit(dives: Any, versions: tuple[int, int], name: str) -> None:
-    old, new = run(*dives(2, 2, name)), run(*dives(*versions, name))
-    assert_same_bits(new, old)
-    assert np.ptp(new["plant.depth"]) > 0.05  # m: it dives
+def test_a_dive_is_that_of_fmi_2_bit_for_bit(dives: Any, name: str) -> None:
+    old = run(*dives(2, 2, name))
+    assert np.ptp(old["plant.depth"]) > 0.05  # m: it dives
+    for versions in ((3, 2), (2, 3), (3, 3)):
+        assert_same_bits(run(*dives(*versions, name)), old)
 
 
 def test_the_loop_is_the_compiled_one_and_agrees_with_that_in_python(

@@ -183,6 +183,9 @@ def test_metrics_of_a_force_have_newtons_and_no_volts() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
+        "run nominal-l1 --plant",
+        "sweep monte-carlo --plant",
+        "package nominal-l1 --plant",
         "margins nominal-l1 --plant",
         "score PidDepthController --plant",
         "tune pid --plant",
@@ -191,7 +194,7 @@ def test_metrics_of_a_force_have_newtons_and_no_volts() -> None:
         "fit --data dive.csv --free mass",
     ],
 )
-def test_every_study_takes_a_vehicle_by_the_same_names(refused: Callable[..., str], arguments: str) -> None:
+def test_every_command_takes_a_vehicle_by_the_same_names(refused: Callable[..., str], arguments: str) -> None:
     assert "no block 'RovDepthPlan', and a path must end in .fmu, .py" in refused(
         *arguments.split(), "RovDepthPlan"
     )

@@ -33,14 +33,14 @@ from tests.mutants.mutant import broken_rules
 from tests.shared_builds import KINDS, one_of_a_kind
 
 ROUNDING = 1e-10  # of an output's largest value: a thousand times what was ever seen
-REPLAYED = [  # that of an interpreter takes long
+OF_EACH_KIND = [  # of an interpreter one alone: its build and its replay take long
     *((name, Flavour.NATIVE) for name in KINDS),
     ("ExamplePlant", Flavour.PYTHON),
 ]
-REPLAYED += [
+OF_EACH_KIND += [
     pytest.param(*row, marks=pytest.mark.slow)
     for row in itertools.product(builder.block_names(), Flavour)
-    if row not in REPLAYED
+    if row not in OF_EACH_KIND
 ]
 MOST_BYTES = 1_000_000  # of a table, by the rules of the cross-check
 
@@ -92,7 +92,7 @@ def replayed(folder: Path, name: str, fmu: Path) -> tuple[Any, Any]:
     return reference, result[::every]
 
 
-@pytest.mark.parametrize(("name", "either"), REPLAYED, indirect=True)
+@pytest.mark.parametrize(("name", "either"), OF_EACH_KIND, indirect=True)
 def test_an_importer_that_replays_the_files_gets_the_same(
     folder: Path, either: dict[str, Path], name: str
 ) -> None:
@@ -140,6 +140,7 @@ def test_the_options_are_those_that_the_cross_check_requires(folder: Path, name:
     assert steps == pytest.approx(round(steps), rel=1e-12)  # a product of the step size, rounded once
 
 
+@pytest.mark.parametrize(("name", "either"), OF_EACH_KIND, indirect=True)
 def test_the_manifest_describes_every_file_of_the_layered_standard(
     either: dict[str, Path], name: str
 ) -> None:
