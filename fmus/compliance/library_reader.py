@@ -5,6 +5,7 @@ behaviour of the FMU is judged.
 """
 
 import atexit
+import gc
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -104,8 +105,11 @@ def close_reader() -> None:
 
 def _read(parent: Parent) -> None:
     """Sends for each message an empty list once LIEF is imported, then the facts of each library."""
+    # its import makes objects that all stay: to look for garbage among them takes a fifth of its time
+    gc.disable()
     import lief
 
+    gc.enable()
     lief.logging.disable()
     while True:
         members = parent.receive()
