@@ -127,10 +127,6 @@ class CalledInstance(parts.StateSlots):
 
     def _tell(self, function: str, arguments: Sequence[Any]) -> None:
         """Announces a call, with the function that brought the instance where it is, and its callbacks."""
-        # a solver makes most calls, and its vectors show little
-        if function in _OF_SOLVERS:
-            self._announce(_announcement(function, self._after))
-            return
         shown = [show(argument) for argument in arguments if (show := parts.shower(type(argument)))]
         self._announce(f"{function}({str(shown)[1:-1]}){self._after}".encode())
 
@@ -143,7 +139,11 @@ class CalledInstance(parts.StateSlots):
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
         is_result, changes_state = _kind(function)
         self.function = function
-        self._tell(function, arguments[:-1] if is_result else arguments)
+        # a solver makes most calls, and its vectors show little
+        if function in _OF_SOLVERS:
+            self._announce(_announcement(function, self._after))
+        else:
+            self._tell(function, arguments[:-1] if is_result else arguments)
         if not self.watched and self._calls is None:
             self.last_status = self.status(function, *arguments)
         else:

@@ -31,7 +31,7 @@ MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder: when the call that is under way began, and which it is
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
-_ANNOUNCED = 400  # bytes of that file
+_ANNOUNCED = struct.Struct("d391sx")  # the content of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
 _OWN = "observed_events", "cpu_time", "recorded_calls"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
@@ -110,11 +110,10 @@ class LoadedFmu:
 
     def _announce(self, call: bytes) -> None:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""
-        content = call[: _ANNOUNCED - BEGAN.size - 1] + b"\0"
-        self._announced[BEGAN.size : BEGAN.size + len(content)] = content
         # a pending step is one call, however often its status is asked for
-        if not call.startswith(b"fmi2GetStatus("):
-            BEGAN.pack_into(self._announced, 0, time.time())
+        is_poll = call.startswith(b"fmi2GetStatus(")
+        began = BEGAN.unpack_from(self._announced)[0] if is_poll else time.time()
+        _ANNOUNCED.pack_into(self._announced, 0, began, call)
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
         """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
@@ -198,8 +197,8 @@ def call_fmu(parent: Parent) -> None:
         for standard in (sys.stdout, sys.stderr):
             os.dup2(stream.fileno(), standard.fileno())
     with Path(folder, CALLED).open("w+b") as file:
-        file.truncate(_ANNOUNCED)
-        announced = mmap.mmap(file.fileno(), _ANNOUNCED)
+        file.truncate(_ANNOUNCED.size)
+        announced = mmap.mmap(file.fileno(), _ANNOUNCED.size)
     fmu = None
     while True:
         calls = parent.receive()

@@ -5,6 +5,7 @@ behaviour of the FMU is judged.
 """
 
 import atexit
+import gc
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,7 +30,6 @@ class Library:
     """Library as LIEF reads it, or one architecture's slice of a macOS one.
 
     machine: format and processor. needed: libraries that it needs but the system's.
-    search_paths: RPATH and RUNPATH of a library for Linux.
     """
 
     path: str
@@ -37,7 +37,6 @@ class Library:
     exports: frozenset[str]
     imports: frozenset[str]
     needed: tuple[str, ...]
-    search_paths: tuple[str, ...]
 
 
 # what every Linux of a distribution has, by the beginning of its name
@@ -106,8 +105,11 @@ def close_reader() -> None:
 
 def _read(parent: Parent) -> None:
     """Sends for each message an empty list once LIEF is imported, then the facts of each library."""
+    # its import makes objects that all stay: to look for garbage among them takes a fifth of its time
+    gc.disable()
     import lief
 
+    gc.enable()
     lief.logging.disable()
     while True:
         members = parent.receive()
@@ -130,20 +132,18 @@ def _slices(lief: Any, content: bytes) -> Iterator[Any]:
 
 def _facts(path: str, parsed: Any) -> Library:
     symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
-    needed, search_paths = [], []
+    needed = []
     # the table of exports may be missing
     if parsed.format.name == "MACHO":
         symbols += [symbol for symbol in parsed.symbols if symbol.category.name == "EXTERNAL"]
     if parsed.format.name == "ELF":
         needed = [str(name) for name in parsed.libraries if not str(name).startswith(_SYSTEM)]
-        entries = [entry for entry in parsed.dynamic_entries if hasattr(entry, "paths")]
-        search_paths = [str(one) for entry in entries for one in entry.paths]
     exports, imports = (
         frozenset(str(symbol.name).removeprefix("_") for symbol in some)
         for some in (symbols, parsed.imported_functions)
     )
     machine = f"{parsed.format.name} {parsed.abstract.header.architecture.name}"
-    return Library(path, machine, exports, imports, tuple(needed), tuple(search_paths))
+    return Library(path, machine, exports, imports, tuple(needed))
 
 
 _readings: WeakKeyDictionary["FmuFile", Reading] = WeakKeyDictionary()

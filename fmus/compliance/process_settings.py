@@ -14,16 +14,19 @@ from typing import Any
 
 _SELF = Path("/proc/self")
 _LINES = {  # of /proc/self/status
-    "signal handlers": ("SigIgn", "SigCgt"),
-    "signal mask": ("SigBlk",),
-    "processors": ("Cpus_allowed_list",),
+    "signal handlers": re.compile(rb"SigIgn:\s*(.*)\nSigCgt:\s*(.*)"),
+    "signal mask": re.compile(rb"SigBlk:\s*(.*)"),
+    "processors": re.compile(rb"Cpus_allowed_list:\s*(.*)"),
 }
-_LINE = re.compile(rf"^({'|'.join(itertools.chain(*_LINES.values()))}):\s*(.*)$", re.MULTILINE)
 _STREAMS = [_SELF / "fd" / number for number in "012"]
+_MOST_OF_A_FILE = 1 << 16  # bytes
 _WIDTH = 26  # of the first column of /proc/self/limits
 _RESTORED = ("working directory", "file mode mask", "locale")
 _TINY = 2.2250738585072014e-308  # half of it is below the normal numbers
 _IN_USE, _IN_LARGE_BLOCKS = 7, 4  # uordblks, hblkhd
+
+
+_freeze_once = cache(gc.freeze)
 
 
 class MallocInformation(ctypes.Structure):
@@ -33,10 +36,27 @@ class MallocInformation(ctypes.Structure):
 
 
 @cache  # it hardly ever changes, and is read around every call that is watched
-def _limits(text: str) -> dict[str, str]:
+def _limits(content: bytes) -> dict[str, str]:
     """Returns the limits that /proc/self/limits lists, by the names of their settings."""
-    lines = text.splitlines()[1:]
+    lines = content.decode().splitlines()[1:]
     return {f"limit {line[:_WIDTH].strip()}": " ".join(line[_WIDTH:].split()) for line in lines}
+
+
+def _content(name: str) -> bytes:
+    """Returns the content of a file of /proc/self, without the layers of `open`: it is read often."""
+    descriptor = os.open(_SELF / name, os.O_RDONLY)
+    try:
+        return os.read(descriptor, _MOST_OF_A_FILE)
+    finally:
+        os.close(descriptor)
+
+
+def _target(stream: Path) -> str:
+    """Returns where a standard stream leads."""
+    try:
+        return str(stream.readlink())
+    except OSError:
+        return "closed"
 
 
 class ProcessSettings:
@@ -120,11 +140,11 @@ class ProcessSettings:
             settings["priority"] = str(os.getpriority(os.PRIO_PROCESS, 0))
             settings["environment"] = self._environment_now()
         with suppress(OSError):
-            lines = dict(_LINE.findall((_SELF / "status").read_text()))
-            settings |= {name: " ".join(lines[one] for one in of) for name, of in _LINES.items()}
-            settings |= _limits((_SELF / "limits").read_text())
-            to = (str(one.readlink()) if one.is_symlink() else "closed" for one in _STREAMS)
-            settings["standard streams"] = " ".join(to)
+            status = _content("status")
+            found = ((name, line.search(status)) for name, line in _LINES.items())
+            settings |= {name: b" ".join(match.groups()).decode() for name, match in found if match}
+            settings |= _limits(_content("limits"))
+            settings["standard streams"] = " ".join(map(_target, _STREAMS))
         return settings
 
     def _variables(self) -> dict[bytes, bytes]:
@@ -144,9 +164,8 @@ class ProcessSettings:
     def resources_in_use(self) -> dict[str, int]:
         """Returns open files and threads of the process, and bytes of its heap, 0 if unknown."""
         gc.collect()
-        if not gc.get_freeze_count():
-            # the remaining objects stay, so that later collections are short
-            gc.freeze()
+        # the remaining objects stay, so that later collections are short
+        _freeze_once()
         heap = self._heap().numbers if self._heap is not None else [0] * 10
         counts = {"heap": heap[_IN_USE] + heap[_IN_LARGE_BLOCKS]}
         for name, folder in (("open files", "fd"), ("threads", "task")):

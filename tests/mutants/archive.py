@@ -115,6 +115,4 @@ ARCHIVE_MUTANTS = (
     _mutant("a symbolic link", "archive-has-no-links", partial(_appended, _link(), b"x", zipfile.ZIP_STORED)),
     _mutant("two members of one path", "archive-paths-are-unique",
             partial(_appended, zipfile.ZipInfo("sources/base.c"), b"", zipfile.ZIP_STORED)),
-    _mutant("two paths that differ by case", "archive-paths-differ-by-more-than-case",
-            partial(_appended, zipfile.ZipInfo("sources/BASE.c"), b"", zipfile.ZIP_STORED), "advice"),
 )  # fmt: skip

@@ -68,6 +68,7 @@ static fmi3Status error(Model *m, const char *text) {
 
 static void compute(Data *d) {
     d->der_x = d->rate * (d->u - (IS("derivatives of the states before") ? d->old_x : d->x));
+    if (IS("a relation follows the state") && d->x > 0.6) d->der_x -= 1;
     for (int i = 0; i < 2; i++) d->y[i] = (float)(d->gains[i] * d->x + (d->is_on ? d->offset : 0));
     d->z = d->x - 0.6;
     if (IS("a fixed value drifts")) d->gains[0] = d->drift + 1;

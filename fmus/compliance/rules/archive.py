@@ -108,12 +108,6 @@ add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
     row("archive-paths-are-unique",
         lambda fmu: repeated(name for name in fmu.names if not name.endswith("/")).items(),
         (anything, "{subject[1]} members are called {subject[0]!r}: expected one")),
-    row("archive-paths-differ-by-more-than-case", lambda fmu: repeated(name.lower() for name in fmu.paths),
-        (anything, "several members are called {subject!r} but for their case: expected other names"),
-        clause="advice: Windows and macOS do not tell them apart"),
-    row("archive-folders-are-ascii", lambda fmu: sorted({name.rpartition("/")[0] for name in fmu.names}),
-        (lambda folder, _: not folder.isascii(),
-         "directory {subject!r}: expected ASCII characters, others are a problem on some systems")),
     row("archive-layout",
         lambda fmu: sorted({path.split("/")[0] + "/" * ("/" in path) for path in fmu.names}),
         (lambda name, _: name not in _TOP, f"{{subject}}: expected one of {', '.join(_TOP)}")),
@@ -184,20 +178,11 @@ def _missing_functions(library: Library, fmu: FmuFile) -> str:
     return ", ".join(sorted(expected - library.exports))
 
 
-def _needed(library: Library, fmu: FmuFile, is_inside: bool) -> list[str]:
-    """Returns the libraries that one needs, of those inside the FMU or of the others."""
-    folder = posixpath.dirname(library.path)
-    return [name for name in library.needed if (f"{folder}/{name}" in fmu.paths) is is_inside]
-
-
 def _missing_libraries(library: Library, fmu: FmuFile) -> str:
     is_documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
-    return "" if is_documented else ", ".join(_needed(library, fmu, is_inside=False))
-
-
-def _unsought_libraries(library: Library, fmu: FmuFile) -> str:
-    is_sought = any(path.startswith(("$ORIGIN", "${ORIGIN}")) for path in library.search_paths)
-    return "" if is_sought else ", ".join(_needed(library, fmu, is_inside=True))
+    folder = posixpath.dirname(library.path)
+    missing = [name for name in library.needed if f"{folder}/{name}" not in fmu.paths]
+    return "" if is_documented else ", ".join(missing)
 
 
 def _own_memory(library: Library, fmu: FmuFile) -> str:
@@ -209,8 +194,6 @@ add_rows(__name__, Stage.LIBRARY, condition=no_library, rows=(
     row("library-exports", _libraries, (_missing_functions, "{path} does not export {value}")),
     row("libraries-are-complete", _libraries, (_missing_libraries,
         "{path} needs {value}: expected it in the FMU, or documentation/externalDependencies.txt")),
-    row("libraries-have-an-rpath", _libraries,
-        (_unsought_libraries, "{path} needs {value}, without RPATH: expected $ORIGIN")),
     row("memory-functions-are-callbacks", _libraries, (_own_memory,
         "{path} uses {value}: expected canNotUseMemoryManagementFunctions, or allocateMemory alone")),
 ))  # fmt: skip

@@ -32,12 +32,7 @@ _NUMBERS = f"""(
     TypeDefinitions/SimpleType/Real | {_VARIABLE}/Real | UnitDefinitions/Unit/*
     | DefaultExperiment
 )/@*[contains('|INF|-INF|NaN|', concat('|', normalize-space(), '|'))]"""
-_STANDARD_CATEGORIES = (
-    "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
-    "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
-)  # fmt: skip
 _RESERVED = re.compile(r"con|prn|aux|nul|(com|lpt)[1-9]", re.I)  # names of devices on Windows
-_LONGEST_IDENTIFIER = 100  # with folders and extension below 260, the longest path of Windows
 _ROUNDED = 1e-4  # relative: tools write factors with as few as five digits, and wrong ones are far away
 _DEGREES, _TURNS = math.degrees(1.0), 30 / math.pi  # in a radian, and in a minute at 1 rad/s
 _DISPLAYED = {  # factor and offset of a display unit: it shows factor value + offset
@@ -73,14 +68,6 @@ def _owner(element: Any, _: FmuFile | None = None) -> str:
     """Returns the name of the nearest element around one that has a name."""
     names = (one.get("name") or one.get("modelName") for one in element.iterancestors())
     return next(filter(None, names), "")
-
-
-def _standard_category(category: Any, _: FmuFile) -> str:
-    """Returns the standardized name that a log category means and does not have, if so."""
-    name = category.get("name", "")
-    standard = {name.lower(): name for name in _STANDARD_CATEGORIES}
-    expected = standard.get(name.replace("_", "").replace(" ", "").lower(), name)
-    return "" if expected == name else str(expected)
 
 
 def _experiment(fmu: FmuFile) -> Iterator[tuple[float, str]]:
@@ -190,8 +177,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "generationDateAndTime {generationDateAndTime!r}: expected such as 2026-01-31T12:00:00Z")),
     row("log-categories-are-unique", elements(repeats("LogCategories/Category")),
         (anything, "log category {name!r} is defined again in line {subject.sourceline}: expected once")),
-    row("log-category-names", elements("LogCategories/Category"),
-        (_standard_category, "log category {name!r}: expected {value}, the standardized name")),
     row("log-category-descriptions", elements("LogCategories/Category"),
         (lambda category, _: not category.get("description", "-").strip(),
          "log category {name!r} has an empty description: expected one or none")),
@@ -205,10 +190,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "{subject.tag} modelIdentifier {modelIdentifier!r}: expected letters, digits and _, no digit first"),
         (lambda interface, _: _RESERVED.fullmatch(interface.get("modelIdentifier")),
          "{subject.tag} modelIdentifier {modelIdentifier!r}: expected another, Windows reserves it")),
-    row("model-identifier-is-short", elements("*[@modelIdentifier]"),
-        (lambda interface, _: len(interface.get("modelIdentifier")) > _LONGEST_IDENTIFIER,
-         f"{{subject.tag}} modelIdentifier {{modelIdentifier!r:.60}}: expected at most {_LONGEST_IDENTIFIER}"
-         " characters")),
     row("capabilities-agree", elements("*[@canSerializeFMUstate or @canSerializeFMUState]"),
         (lambda i, fmu: _is_claimed(i, "canSerializeFMU{}tate", fmu)
          and not _is_claimed(i, "canGetAndSetFMU{}tate", fmu) and "sS"[fmu.is_fmi3],

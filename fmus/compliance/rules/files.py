@@ -41,7 +41,6 @@ _VARIABLES_OF_TERMINALS = """
 # by other rules than plug and bus members do not match by their names
 _MEMBER = "//Terminal[@matchingRule='plug' or @matchingRule='bus']/TerminalMemberVariable"
 _NAMES_OF_TERMINALS = f"{repeats('//Terminal')}/@name | {repeats(_MEMBER, 'memberName')}/@memberName"
-_REVERSE_DOMAIN = re.compile(r"extra/[A-Za-z][A-Za-z0-9-]*(?:\.[A-Za-z0-9_-]+)+/")
 
 _COMMENT = re.compile(rb"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*([<"])([^">\n]+)[">]', re.MULTILINE)
@@ -162,11 +161,6 @@ add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
     row("extra-names-are-not-reserved", _extra,
         (lambda path, _: path.startswith(_RESERVED) and not _LAYERED_STANDARD.fullmatch(path),
          "{subject}: expected a name of the maker's own, as this is for layered standards of FMI")),
-    row("extra-names-are-domains", _extra,
-        (lambda path, _: not path.endswith("/"),
-         "{subject}: expected it in a directory such as extra/com.example"),
-        (lambda path, _: not _REVERSE_DOMAIN.fullmatch(path),
-         "{subject}: expected a reversed domain such as com.example")),
 ))  # fmt: skip
 add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("has-an-implementation", _interfaces,

@@ -348,15 +348,6 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     yield from paths.rows(probe, paths.again)
 
 
-@differential("advice: an unknown log category is no reason to fail")
-def reset_works_after_unknown_categories(_: Probe) -> Iterator[Row]:
-    """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
-    works.
-    """
-    unknown = do.set_debug_logging(True, "no category of this FMU")
-    yield Row("", (do.forbidden, do.ignore(unknown), do.reset, do.begin, do.step()), ())
-
-
 @differential("4.2.4")
 def debug_logging_is_allowed_after_an_error(_: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging succeeds after another function returned error."""

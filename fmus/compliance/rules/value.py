@@ -117,17 +117,18 @@ def outputs_are_finite(v: Variable, value: Any) -> str:
 
 @rule_of(_wrong_values, "2.2.3")
 def enumerations_are_items(v: Variable, value: Any) -> str:
-    """An Enumeration that is read is the value of one of its items."""
-    is_wrong = v.items and value not in v.items
-    return f"one of {', '.join(map(str, sorted(v.items)))}" if is_wrong else ""
+    """An Enumeration that is read is the value of one of its items, between min and max."""
+    allowed = [x for x in sorted(v.items) if v.low <= x <= v.high]
+    is_wrong = allowed and value not in allowed
+    return f"one of {', '.join(map(str, allowed))}" if is_wrong else ""
 
 
 @rule_of(_wrong_values, "2.2.3")
 def values_are_in_range(v: Variable, value: Any) -> str:
-    """Integers and Enumerations that are read lie between min and max, and Reals up to rounding, outputs
-    after each step of the default experiment.
+    """Integers that are read lie between min and max, and Reals up to rounding, outputs after each step of
+    the default experiment.
     """
-    if v.base_kind in ("Boolean", "String"):
+    if v.base_kind in ("Boolean", "String") or v.items:
         return ""
     limits = [x for x in (v.low, v.high) if math.isfinite(x)]
     margin = _ROUNDED * max(map(abs, [*limits, 1.0])) if v.base_kind == "Real" else 0.0

@@ -7,7 +7,7 @@ from tests.mutants.slaves import MUTANTS
 from .archives import FALSE_CLAIMS
 
 BY_A_TEST_OF_ITS_OWN = {
-    "library-exports", "libraries-are-complete", "libraries-have-an-rpath", "library-loads",
+    "library-exports", "libraries-are-complete", "library-loads",
     "runs-on-this-platform", "clocks-have-partitions",
 }  # fmt: skip
 
