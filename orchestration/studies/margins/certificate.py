@@ -175,8 +175,7 @@ def certificate_metrics(
 
     loop: with `without_p`; runs_hold: whether runs with a K_P hold quietly; None if none are made
     """
-    drag = [name for name in loop.parameters if name.endswith(".quadratic_damping")]
-    dampings = {name.replace("quadratic", "linear"): loop.values[loop.parameters[name]] for name in drag}
+    dampings = {linear: loop.values[loop.parameters[drag]] for linear, drag in loop.drag.items()}
     changed = {f"{design.controller}.proportional_gain": 1.0}
     damped = {
         key: loop.values[loop.parameters[key]] + _SMALL * of_square for key, of_square in dampings.items()

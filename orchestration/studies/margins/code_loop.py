@@ -19,6 +19,7 @@ from fmus.fmi.variable_types import FmiValue
 from fmus.generate.trace import trace
 from fmus.registry import BLOCKS, block_names, installed, load
 from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.vehicle import description_file, description_of
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import LinearTransformation
@@ -31,8 +32,6 @@ with imports_of("study", "a margin"):
 _LONGEST_PERIOD = 64  # communication steps
 # of an eigenvalue beyond 1: estimates whose sum alone has an effect have one that is 1 but for rounding
 _ROUNDING = 1e-6
-# A rounded value has no derivative; noise and drift move the state about which the loop is linear.
-_INEXACT = ("sensor_noise", "sensor_resolution", "sensor_drift")
 
 
 class Step(NamedTuple):
@@ -53,6 +52,7 @@ class CodeLoop:
 
     parameters: "component.parameter" -> its place among the values
     points: states, time and signals at the beginning of each step of a period
+    drag: linear damping -> quadratic damping, as parameters of vehicles
     """
 
     jacobians: casadi.Function
@@ -60,6 +60,7 @@ class CodeLoop:
     parameters: Mapping[str, int]
     points: tuple[tuple[np.ndarray, float, np.ndarray], ...]
     step_size: float
+    drag: Mapping[str, str]
 
     def steps(self, *instead: Mapping[str, float]) -> list[list[Step]]:
         """Returns the steps of a period for each set of other values of parameters, of the same states."""
@@ -150,6 +151,7 @@ class _Blocks:
         parameters = _constants(prepared, blocks, "parameter")
         for key, value in instead.items():
             parameters[key] = float(fmi_value(prepared.system.port(key, "a parameter"), value))
+        self._drag = _dampings(blocks, parameters)
         self.parameters, self.values = {name: i for i, name in enumerate(parameters)}, [*parameters.values()]
         signals = [*prepared.experiment.signals]
         counts = {"t": 1, "s": len(signals), "d": len(cut), "p": len(parameters)}
@@ -209,7 +211,9 @@ class _Blocks:
         ]
         for n in range(1, _LONGEST_PERIOD + 1):
             if patterns[n:] == patterns[:-n]:
-                return CodeLoop(self._jacobians, self.values, self.parameters, tuple(found[:n]), self._size)
+                return CodeLoop(
+                    self._jacobians, self.values, self.parameters, tuple(found[:n]), self._size, self._drag
+                )
         return None
 
 
@@ -217,11 +221,23 @@ def _names(component: str, block: Block, causality: str) -> list[str]:
     return [f"{component}.{v.name}" for v in block.of_causality(causality)]
 
 
+def _dampings(blocks: Mapping[str, Block], parameters: Iterable[str]) -> dict[str, str]:
+    """Returns linear damping -> quadratic damping of the blocks whose descriptions name both."""
+    known = ((name, description_of(description_file(block.name)).variables) for name, block in blocks.items())
+    pairs = {f"{name}.{each.damping}": f"{name}.{each.drag}" for name, each in known}
+    return {linear: drag for linear, drag in pairs.items() if {linear, drag} <= {*parameters}}
+
+
 def _constants(prepared: PreparedRun, blocks: Mapping[str, Block], causality: str) -> dict[str, Any]:
-    """Returns the name and value of parameters, or inputs, as the run begins, for a sensor that is exact."""
+    """Returns the name and value of parameters, or inputs, as the run begins, for a sensor that is exact:
+    a rounded value has no derivative, and noise moves the state about which the loop is linear.
+    """
     values: dict[str, Any] = {port.name: value for port, value in prepared.settings}
+    for component, block in blocks.items():
+        known = description_of(description_file(block.name)).variables
+        values |= {f"{component}.{name}": 0.0 for name in (known.sensor_noise, known.sensor_resolution)}
     return {
-        (name := f"{component}.{v.name}"): 0.0 if v.name in _INEXACT else float(values.get(name, v.start))
+        (name := f"{component}.{v.name}"): float(values.get(name, v.start))
         for component, block in blocks.items()
         for v in block.of_causality(causality)
     }
