@@ -234,21 +234,21 @@ def c_functions(
     """Returns the functions NAME_constants and NAME, and how many numbers they share in a column k.
 
     NAME_constants writes to k the numbers that follow from the arguments `held` alone. k is the last argument
-    of NAME. After these numbers come argument and result of each expensive call that follows from the
+    of NAME. After these numbers come argument, result and a flag of each expensive call that follows from the
     argument `inputs` too: NAME computes it again where the argument has changed.
     """
     operations, arguments = operations_of(function), function.name_in()
     varies = follows_from(operations, {*arguments} - {*held})
     constants = _constants(operations, varies)
     calls = _calls_of_inputs(operations, varies, follows_from(operations, {*arguments} - {*held, inputs}))
-    count = len(constants) + 2 * len(calls)
-    known = [*(o for o in operations if o.name != "RESULT"), Operation("CONST", text="NAN")]
-    numbers = constants + [len(known) - 1] * 2 * len(calls)
+    count = len(constants) + 3 * len(calls)
+    known = [*(o for o in operations if o.name != "RESULT"), Operation("CONST", text="0.0")]
+    numbers = constants + [len(known) - 1] * 3 * len(calls)
     results = [Operation("RESULT", (number,), f"k[{index}]") for index, number in enumerate(numbers)]
     of_held = [argument for argument in arguments if argument in held]
     for index, number in enumerate(constants):
         operations[number] = Operation("INPUT", text=f"k[{index}]")
-    for place, number in zip(range(len(constants), count, 2), calls, strict=True):
+    for place, number in zip(range(len(constants), count, 3), calls, strict=True):
         operations[number] = replace(operations[number], place=f"k + {place}")
     return [
         CFunction(f"{name}_constants", of_held, "k", known + results),

@@ -44,7 +44,7 @@ class Operation:
     name: as in CasADi, or RESULT, CHOICE (a condition and two numbers), FMOD_BY_WHOLE (of a constant)
     arguments: numbers of operations
     text: of an argument or result of the function, `t` or `x[0]`, or of a constant
-    place: address in C of the last argument and result of a call that is repeated for a new argument alone
+    place: address in C of argument, result and flag of a call that is repeated for a new argument alone
     """
 
     name: str
