@@ -1,6 +1,7 @@
 """Traced functions -> C in two dialects: for one instance, and for a group of instances.
 
-Both write the same operations, a statement each. So their numbers are the same bit for bit.
+`firmware.py` has a third one, for microcontrollers. All write the same operations, a statement each. So their
+numbers are the same bit for bit.
 """
 
 import textwrap
@@ -90,7 +91,7 @@ class ScalarC:
 
     def function(self, f: CFunction) -> str:
         """Returns the C code; the times t and h are numbers, all other arguments columns."""
-        arguments = [*map(self._argument, f.arguments), f"{self.column}{f.result}", *self.more_arguments]
+        arguments = [*map(self._argument, f.arguments), self._column(f.result), *self.more_arguments]
         head = f"static {self.inlined if f.is_inlined else ''}void {f.name}({', '.join(arguments)})"
         body = "\n".join(f"    {line}" for line in (*self._declarations(f), *self._lines(f, self._steps(f))))
         return f"{head} {{\n{body}\n}}\n"
@@ -98,7 +99,10 @@ class ScalarC:
     def _argument(self, name: str) -> str:
         if name in TIMES:
             return f"double {name}"
-        return f"{'' if name in self.changed else 'const '}{self.column}{name}"
+        return f"{'' if name in self.changed else 'const '}{self._column(name)}"
+
+    def _column(self, name: str) -> str:
+        return f"{self.column}{name}"
 
     def _declarations(self, f: CFunction) -> list[str]:
         unset, numbered = f.schedule.in_branches, f.schedule.numbered
@@ -131,12 +135,15 @@ class ScalarC:
             value = self.expressions[operation.name].format(*terms)
         else:
             raise ExportError(f"{f.name}: operation {operation.name} of CasADi has no expression in C")
-        return f"{operation.text or f'v{number}'} = {value};"
+        return f"{self._text(operation) or f'v{number}'} = {value};"
 
     def _term(self, f: CFunction, number: int) -> str:
         """Returns the text of the number of an operation in an expression."""
         operation = f.operations[number]
-        return f"v{number}" if operation.arguments else operation.text
+        return f"v{number}" if operation.arguments else self._text(operation)
+
+    def _text(self, operation: Operation) -> str:
+        return operation.text
 
     def _call(self, operation: Operation, function: str, terms: list[str]) -> str:
         if operation.place:
