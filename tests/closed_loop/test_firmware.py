@@ -175,7 +175,8 @@ def test_the_nominal_loop_on_a_cortex_m7_has_the_bits_of_the_fmus(
     for block in BLOCKS.values():
         with builder.loaded(block) as (traced,):
             write_firmware(traced, tmp_path, "cortex-m7")
-    options = ["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-ffp-contract=off", "--specs=rdimon.specs"]
+    options = ["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-ffp-contract=off"]
+    options += ["--specs=rdimon.specs"]
     libraries = ["-L.", *(f"-l{block}" for block in BLOCKS.values()), "-lm"]
     start = "-Wl,--section-start=.vectors=0,-z,noexecstack,--fatal-warnings"
     run(
