@@ -5,7 +5,7 @@ Also what this machine is: its platform and its instruction sets.
 
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
@@ -22,6 +22,11 @@ TARGETS = {
     "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
 }
 PLATFORMS = tuple(TARGETS)
+# name -> zig's target and processor with floating-point unit. No C library is linked: the target has headers.
+MICROCONTROLLERS = {
+    "cortex-m4": ("thumb-linux-musleabihf", "cortex_m4+vfp4d16sp"),
+    "cortex-m7": ("thumb-linux-musleabihf", "cortex_m7+fp_armv8d16"),
+}
 # FMI 3.0.2, 2.5.1.4: names of the same platforms
 _PLATFORM_TUPLES = {"linux64": "x86_64-linux", "win64": "x86_64-windows", "darwin64": "x86_64-darwin"}
 
@@ -71,11 +76,11 @@ def instruction_sets() -> tuple[str, ...]:
     return tuple(name for name, needed in INSTRUCTION_SETS.items() if features >= {*needed.split()})
 
 
-def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
+def check_platforms(names: Sequence[str], known: Collection[str] = PLATFORMS) -> tuple[str, ...]:
     """Returns the names, each once; ExportError offers the nearest for an unknown one."""
     for name in names:
-        if name not in TARGETS:
-            raise ExportError(f"no platform {name!r}; {nearest(name, PLATFORMS)}")
+        if name not in known:
+            raise ExportError(f"no platform {name!r}; {nearest(name, known)}")
     return tuple(dict.fromkeys(names))
 
 

@@ -1,6 +1,7 @@
 """Traced functions -> C in two dialects: for one instance, and for a group of instances.
 
-Both write the same operations, a statement each. So their numbers are the same bit for bit.
+`firmware.py` has a third one, for microcontrollers. All write the same operations, a statement each. So their
+numbers are the same bit for bit.
 """
 
 import textwrap
@@ -90,7 +91,7 @@ class ScalarC:
 
     def function(self, f: CFunction) -> str:
         """Returns the C code; the times t and h are numbers, all other arguments columns."""
-        arguments = [*map(self._argument, f.arguments), f"{self.column}{f.result}", *self.more_arguments]
+        arguments = [*map(self._argument, f.arguments), self._column(f.result), *self.more_arguments]
         head = f"static {self.inlined if f.is_inlined else ''}void {f.name}({', '.join(arguments)})"
         body = "\n".join(f"    {line}" for line in (*self._declarations(f), *self._lines(f, self._steps(f))))
         return f"{head} {{\n{body}\n}}\n"
@@ -98,7 +99,10 @@ class ScalarC:
     def _argument(self, name: str) -> str:
         if name in TIMES:
             return f"double {name}"
-        return f"{'' if name in self.changed else 'const '}{self.column}{name}"
+        return f"{'' if name in self.changed else 'const '}{self._column(name)}"
+
+    def _column(self, name: str) -> str:
+        return f"{self.column}{name}"
 
     def _declarations(self, f: CFunction) -> list[str]:
         unset, numbered = f.schedule.in_branches, f.schedule.numbered
@@ -131,12 +135,15 @@ class ScalarC:
             value = self.expressions[operation.name].format(*terms)
         else:
             raise ExportError(f"{f.name}: operation {operation.name} of CasADi has no expression in C")
-        return f"{operation.text or f'v{number}'} = {value};"
+        return f"{self._text(operation) or f'v{number}'} = {value};"
 
     def _term(self, f: CFunction, number: int) -> str:
         """Returns the text of the number of an operation in an expression."""
         operation = f.operations[number]
-        return f"v{number}" if operation.arguments else operation.text
+        return f"v{number}" if operation.arguments else self._text(operation)
+
+    def _text(self, operation: Operation) -> str:
+        return operation.text
 
     def _call(self, operation: Operation, function: str, terms: list[str]) -> str:
         if operation.place:
@@ -234,21 +241,21 @@ def c_functions(
     """Returns the functions NAME_constants and NAME, and how many numbers they share in a column k.
 
     NAME_constants writes to k the numbers that follow from the arguments `held` alone. k is the last argument
-    of NAME. After these numbers come argument and result of each expensive call that follows from the
+    of NAME. After these numbers come argument, result and a flag of each expensive call that follows from the
     argument `inputs` too: NAME computes it again where the argument has changed.
     """
     operations, arguments = operations_of(function), function.name_in()
     varies = follows_from(operations, {*arguments} - {*held})
     constants = _constants(operations, varies)
     calls = _calls_of_inputs(operations, varies, follows_from(operations, {*arguments} - {*held, inputs}))
-    count = len(constants) + 2 * len(calls)
-    known = [*(o for o in operations if o.name != "RESULT"), Operation("CONST", text="NAN")]
-    numbers = constants + [len(known) - 1] * 2 * len(calls)
+    count = len(constants) + 3 * len(calls)
+    known = [*(o for o in operations if o.name != "RESULT"), Operation("CONST", text="0.0")]
+    numbers = constants + [len(known) - 1] * 3 * len(calls)
     results = [Operation("RESULT", (number,), f"k[{index}]") for index, number in enumerate(numbers)]
     of_held = [argument for argument in arguments if argument in held]
     for index, number in enumerate(constants):
         operations[number] = Operation("INPUT", text=f"k[{index}]")
-    for place, number in zip(range(len(constants), count, 2), calls, strict=True):
+    for place, number in zip(range(len(constants), count, 3), calls, strict=True):
         operations[number] = replace(operations[number], place=f"k + {place}")
     return [
         CFunction(f"{name}_constants", of_held, "k", known + results),

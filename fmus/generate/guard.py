@@ -103,6 +103,33 @@ def location(function: Callable[..., Any]) -> str:
 
 
 @contextmanager
+def divisions() -> Iterator[list[tuple[str, casadi.SX]]]:
+    """Yields a list that gets the line, "FILE:LINE: text", and the divisor of each division by a symbol."""
+    found: list[tuple[str, casadi.SX]] = []
+    originals = {name: getattr(casadi.SX, name) for name in ("__truediv__", "__rtruediv__")}
+
+    def recording(name: str) -> Callable[..., Any]:
+        def method(symbol: casadi.SX, other: Any) -> Any:
+            frame = sys._getframe(1)
+            while frame.f_back and not _is_users(frame):
+                frame = frame.f_back
+            file, line = frame.f_code.co_filename, frame.f_lineno
+            divisor = other if name == "__truediv__" else symbol
+            found.append((f"{file}:{line}: {linecache.getline(file, line).strip()}", casadi.SX(divisor)))
+            return originals[name](symbol, other)
+
+        return method
+
+    try:
+        for name in originals:
+            setattr(casadi.SX, name, recording(name))
+        yield found
+    finally:
+        for name, original in originals.items():
+            setattr(casadi.SX, name, original)
+
+
+@contextmanager
 def _guarded(package: str) -> Iterator[None]:
     with _LOCK:
         profile, originals = sys.getprofile(), {name: vars(casadi.SX).get(name) for name in _methods()}

@@ -5,6 +5,7 @@ stands in an `if` of that condition, unless that would save less than a branch m
 each expression keep CasADi's order, so the results are the same bit for bit.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +45,7 @@ class Operation:
     name: as in CasADi, or RESULT, CHOICE (a condition and two numbers), FMOD_BY_WHOLE (of a constant)
     arguments: numbers of operations
     text: of an argument or result of the function, `t` or `x[0]`, or of a constant
-    place: address in C of the last argument and result of a call that is repeated for a new argument alone
+    place: address in C of argument, result and flag of a call that is repeated for a new argument alone
     """
 
     name: str
@@ -94,6 +95,35 @@ def operations_of(function: casadi.Function) -> list[Operation]:
         operations.append(operation)
         held[function.instruction_output(i)[0]] = len(operations) - 1
     return operations + results
+
+
+def places_of(function: casadi.Function, others: Sequence[casadi.SX]) -> dict[int, int]:
+    """Returns operation of `operations_of` -> place among other expressions that have the same number.
+
+    Numbers are compared at one arbitrary point of the symbols.
+    """
+    terms: list[casadi.SX] = []
+    held: dict[int, casadi.SX] = {}
+    for i in range(function.n_instructions()):
+        code, used = function.instruction_id(i), function.instruction_input(i)
+        if code == casadi.OP_OUTPUT:
+            continue
+        if code == casadi.OP_INPUT:
+            term = function.sx_in()[used[0]][used[1]]
+        elif code == casadi.OP_CONST:
+            term = casadi.SX(function.instruction_constant(i))
+        else:
+            apply = casadi.SX.unary if len(used) == 1 else casadi.SX.binary
+            term = apply(code, *(held[number] for number in used))
+        held[function.instruction_output(i)[0]] = term
+        terms.append(term)
+    results = casadi.vertcat(*terms, *others)
+    symbols = casadi.vertcat(*casadi.symvar(results))
+    values = casadi.Function("values", [symbols], [results])
+    point = [1.0 + 0.1 * math.sin(i) for i in range(symbols.numel())]
+    numbers = values(point).full().ravel().tolist()
+    places = {number: place for place, number in enumerate(numbers[len(terms) :])}
+    return {i: places[number] for i, number in enumerate(numbers[: len(terms)]) if number in places}
 
 
 def follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:

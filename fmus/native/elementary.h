@@ -44,12 +44,9 @@ static inline double fmod_by_whole(double x, double m) {
     return fmod(x, m);
 }
 
-/* function(x), computed again if a bit of x has changed: `last` holds the last x and its result. */
+/* function(x), computed again if a bit of x has changed: `last` holds the last x and its result, then 1; at first 0. */
 static inline double remembered(double (*function)(double), double x, double *last) {
-    if (!is_same(*last, x)) {
-        last[0] = x;
-        last[1] = function(x);
-    }
+    if (last[2] == 0 || !is_same(*last, x)) last[0] = x, last[1] = function(x), last[2] = 1;
     return last[1];
 }
 

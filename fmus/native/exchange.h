@@ -144,7 +144,7 @@ Status FMI(GetContinuousStateDerivatives)(void *c, double derivatives[], size_t 
 Status FMI(GetEventIndicators)(void *c, double eventIndicators[], size_t ni) {
     static const char *const function = NAME(GetEventIndicators);
     Instance *instance = c;
-    double fresh[N_CALCULATED + 1], indicators[N_INDICATORS + 1];
+    double fresh[N_CALCULATED + 1], indicators[N_INDICATORS + 1] = {0};
     int broken = 0;
     if (!is_vector(instance, IS_INITIALIZED, eventIndicators, ni, N_INDICATORS, function)) return ERROR;
     const double *calculated = data_calculated(&instance->data, fresh, &broken);

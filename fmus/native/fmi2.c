@@ -34,6 +34,8 @@
 #define SerializeFMUState SerializeFMUstate
 #define DeserializeFMUState DeSerializeFMUstate
 #define GetContinuousStateDerivatives GetDerivatives
+#define LogMessageCallback CallbackLogger
+#define IntermediateUpdateCallback StepFinished /* called after a step */
 
 #include "derivatives.h"
 #include "exchange.h"
@@ -51,7 +53,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 static unsigned log_mask(fmi2Boolean logging_on) { return logging_on ? LOG_ALL : LOG_ALL & ~LOG_DISCARD; }
 
 static void log_deliver(const Log *log, fmi2Status status, const char *category, const char *text) {
-    ((fmi2CallbackLogger)log->logger)(log->environment, log->instance, status, category, text);
+    log->logger(log->environment, log->instance, status, category, text);
 }
 
 /* 2.1.5: the named categories are switched on, and no others; or off; without names all. The warning of an unknown
@@ -80,12 +82,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
     (void)fmuResourceLocation, (void)visible;
     if (!functions) return NULL;
-    const Log log = {(Callback)functions->logger, functions->componentEnvironment, instanceName ? instanceName : "",
-                     LOG_ALL};
+    const Log log = {functions->logger, functions->componentEnvironment, instanceName ? instanceName : "", LOG_ALL};
     if (fmuType != fmi2CoSimulation && fmuType != fmi2ModelExchange)
         return cannot_instantiate(
             &log, "fmi2Instantiate: fmuType %d: expected fmi2CoSimulation or fmi2ModelExchange", fmuType);
-    Instance *instance = instantiate(log, (Callback)functions->stepFinished,
+    Instance *instance = instantiate(log, functions->stepFinished,
                                      fmuType == fmi2CoSimulation ? CO_SIMULATION : INITIAL_EXCHANGE, instanceName,
                                      fmuGUID, "fmi2Instantiate");
     if (instance) instance->log.enabled = log_mask(loggingOn);
@@ -113,7 +114,7 @@ static int is_value(unsigned reference, Type type) { return reference < N_VALUES
 /* Also continuous states and their derivatives, which are Reals and calculated when they are read. */
 static fmi2Status get_with_locals(Instance *instance, Type type, const fmi2ValueReference vr[], size_t nvr,
                                   fmi2Real value[], const char *function) {
-    double locals[N_VARIABLES - N_VALUES + 1];
+    double locals[N_VARIABLES - N_VALUES + 1] = {0};
     if (!are_of_type(instance, type, vr, nvr, function)) return fmi2Error;
     const fmi2Status status = get_locals(instance, locals, function);
     if (status != fmi2OK) return status;
@@ -183,8 +184,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     Instance *instance = c;
     (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
     const fmi2Status status = do_step(instance, currentCommunicationPoint, communicationStepSize);
-    if (status == fmi2OK && instance->after_step)
-        ((fmi2StepFinished)instance->after_step)(instance->log.environment, fmi2OK);
+    if (status == fmi2OK && instance->after_step) instance->after_step(instance->log.environment, fmi2OK);
     return status;
 }
 

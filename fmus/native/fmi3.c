@@ -27,7 +27,7 @@
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
 static void log_deliver(const Log *log, fmi3Status status, const char *category, const char *text) {
-    ((fmi3LogMessageCallback)log->logger)(log->environment, status, category, text);
+    log->logger(log->environment, status, category, text);
 }
 
 /* 2.3.1: the named categories are switched on, or off; without names all. */
@@ -53,7 +53,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String in
                                           fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
                                           fmi3InstanceEnvironment instanceEnvironment,
                                           fmi3LogMessageCallback logMessage) {
-    const Log log = {(Callback)logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
+    const Log log = {logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
     (void)resourcePath, (void)visible;
     return instantiate(log, NULL, INITIAL_EXCHANGE, instanceName, instantiationToken, "fmi3InstantiateModelExchange");
 }
@@ -69,7 +69,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
                                          fmi3LogMessageCallback logMessage,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
     static const char *const function = "fmi3InstantiateCoSimulation";
-    const Log log = {(Callback)logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
+    const Log log = {logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
     (void)resourcePath, (void)visible;
     if (eventModeUsed) return cannot_instantiate(&log, "%s: eventModeUsed: expected false, there is no event mode", function);
     if (nRequiredIntermediateVariables && !requiredIntermediateVariables)
@@ -79,7 +79,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
             return cannot_instantiate(&log, "%s: value reference %u: expected a variable with intermediateUpdate",
                                       function, requiredIntermediateVariables[i]);
     Instance *instance =
-        instantiate(log, (Callback)intermediateUpdate, CO_SIMULATION, instanceName, instantiationToken, function);
+        instantiate(log, intermediateUpdate, CO_SIMULATION, instanceName, instantiationToken, function);
     if (instance) instance->can_return_early = earlyReturnAllowed;
     return instance;
 }
@@ -91,7 +91,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String instanceName, fmi3Stri
                                                fmi3LogMessageCallback logMessage, fmi3ClockUpdateCallback clockUpdate,
                                                fmi3LockPreemptionCallback lockPreemption,
                                                fmi3UnlockPreemptionCallback unlockPreemption) {
-    const Log log = {(Callback)logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
+    const Log log = {logMessage, instanceEnvironment, "", loggingOn ? LOG_ALL : 0};
     (void)instanceName, (void)instantiationToken, (void)resourcePath, (void)visible;
     (void)clockUpdate, (void)lockPreemption, (void)unlockPreemption;
     return cannot_instantiate(&log, "fmi3InstantiateScheduledExecution: expected co-simulation or model exchange");
@@ -159,7 +159,7 @@ static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueRefere
         const fmi3##Name *value = values;                                                                      \
         if (!are_elements(instance, ALWAYS, TYPE, vr, nvr, values, nValues, function)) return fmi3Error;       \
         for (size_t i = 0; i < nvr; i++)                                                                       \
-            for (unsigned r = vr[i]; r < vr[i] + EXTENTS[vr[i]]; r++, value++)                                 \
+            for (fmi3ValueReference r = vr[i]; r < vr[i] + EXTENTS[vr[i]]; r++, value++)                       \
                 if (!can_be_set(&instance->data, r, TYPE, (double)*value))                                     \
                     return cannot_be_set(instance, TYPE, &r, 1, 0, (double)*value, function);                  \
         for (size_t i = 0; i < nvr; i++)                                                                       \

@@ -125,7 +125,7 @@ static INLINED double *step_numbers(StepCache *cache, double h, const double *p,
 
 /* The exponent of a number that is infinite or NaN is all ones, so one more overflows to the sign. Without branches,
  * compilers check several at a time. */
-static int are_finite(const double *numbers, int count) {
+static INLINED int are_finite(const double *numbers, int count) {
     const uint64_t exponent = 0x7ffull << 52, one = 1ull << 52;
     uint64_t bad = 0;
     for (int i = 0; i < count; i++) bad |= (bits_of(numbers[i]) & exponent) + one;

@@ -23,8 +23,8 @@ static void instance_reset(Instance *instance) {
 
 /* 2.1.5. The resources are not used: the model needs no file. The targets of the pointers are copied: they are valid
  * during the call only. `log` has no name of the instance yet. */
-static void *instantiate(Log log, Callback after_step, Face face, const char *name, const char *guid,
-                         const char *function) {
+static void *instantiate(Log log, FMI(IntermediateUpdateCallback) after_step, Face face, const char *name,
+                         const char *guid, const char *function) {
     Instance *instance;
     log.instance = name ? name : "";
     if (!log.instance[strspn(log.instance, " \t\n\v\f\r")])

@@ -25,8 +25,6 @@ typedef FMI(Status) Status;
 #define DISCARD FMI(Discard)
 #define ERROR FMI(Error)
 
-typedef void (*Callback)(void); /* of any type: converted back before it is called */
-
 enum { LOG_WARNING = 1, LOG_DISCARD = 2, LOG_ERROR = 4, LOG_FATAL = 8, LOG_ALL = 15, MESSAGE_SIZE = 1024 };
 
 static const struct {
@@ -41,7 +39,7 @@ enum { N_LOG_CATEGORIES = sizeof LOG_CATEGORIES / sizeof LOG_CATEGORIES[0] };
 
 /* What logging needs of the importer's callbacks: a copy, because they need not outlive the call. */
 typedef struct {
-    Callback logger;
+    FMI(LogMessageCallback) logger;
     void *environment;
     const char *instance;
     unsigned enabled;

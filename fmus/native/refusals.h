@@ -11,7 +11,7 @@ typedef struct {
     StepCache step_cache;
     double stop_time; /* of the setup: no saved state changes it */
     Log log;
-    Callback after_step; /* of FMI 3.0 the intermediate update; NULL for none */
+    FMI(IntermediateUpdateCallback) after_step; /* of FMI 2.0 stepFinished; NULL for none */
     int can_return_early; /* never in FMI 2.0 */
 } Instance;
 

@@ -28,8 +28,8 @@ static int update(Instance *instance, Mode mode, double t, int can_return_early,
     fmi3Boolean is_requested = fmi3False;
     double requested = t;
     instance->data.mode = mode;
-    ((fmi3IntermediateUpdateCallback)instance->after_step)(instance->log.environment, t, !is_get, is_get, is_get,
-                                                           can_return_early, &is_requested, &requested);
+    instance->after_step(instance->log.environment, t, !is_get, is_get, is_get, can_return_early, &is_requested,
+                         &requested);
     if (instance->data.mode != mode) return 0;
     instance->data.mode = STEPPING;
     if (can_return_early && is_requested) *until = requested;

@@ -24,14 +24,14 @@ static OUTLINED Status not_of_type(Instance *instance, Type type, unsigned refer
                   TYPE_TEXTS[ACCESS[reference].type], TYPE_TEXTS[type]);
 }
 
-static int are_given(Instance *instance, const unsigned references[], size_t count, const void *values,
+static int are_given(Instance *instance, const FMI(ValueReference) references[], size_t count, const void *values,
                      const char *function) {
     if (!count || (references && values)) return 1;
     missing(instance, function, references ? "value" : "vr");
     return 0;
 }
 
-static int are_of_type(Instance *instance, Type type, const unsigned references[], size_t count,
+static int are_of_type(Instance *instance, Type type, const FMI(ValueReference) references[], size_t count,
                        const char *function) {
     for (size_t i = 0; i < count; i++) {
         if (has_type(references[i], type)) continue;
@@ -44,7 +44,7 @@ static int are_of_type(Instance *instance, Type type, const unsigned references[
 /* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later the last
  * step gives them, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). Called when something
  * is stale. */
-static Status refreshed(Instance *instance, Type type, const unsigned references[], size_t count,
+static Status refreshed(Instance *instance, Type type, const FMI(ValueReference) references[], size_t count,
                             const char *function) {
     int broken = 0;
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
@@ -66,8 +66,8 @@ static int can_be_set(const Data *d, unsigned reference, Type type, double value
 /* Refuses the first wrong type, or else the value at `index`, which is the first refused value.
  * 2.1.2: a value reference that cannot be set is an error; 2.1.7: a value out of range may be discarded. Of a start
  * value it is an error, because errors reach the user without logging; inputs in initialization mode are tried. */
-static OUTLINED Status cannot_be_set(Instance *instance, Type type, const unsigned references[], size_t count,
-                                     size_t index, double value, const char *function) {
+static OUTLINED Status cannot_be_set(Instance *instance, Type type, const FMI(ValueReference) references[],
+                                     size_t count, size_t index, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return ERROR;
     const Variable *v = VARIABLES + references[index];
     if (is_state(references[index]) && instance->data.mode == CONTINUOUS_TIME)

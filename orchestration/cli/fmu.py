@@ -12,7 +12,7 @@ import typer
 from fmus.errors import ExportError
 from fmus.files import write_bytes_atomically
 from fmus.generate.cache import BuildCache, BuildRequest
-from fmus.platforms import PLATFORMS, check_platforms
+from fmus.platforms import MICROCONTROLLERS, PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
@@ -65,7 +65,8 @@ def build(
         str,
         typer.Option(
             metavar="NAME,NAME",
-            help=f"Compile for these platforms ({', '.join(PLATFORMS)}); by default for this one.",
+            help=f"Compile for these platforms ({', '.join(PLATFORMS)}); by default for this one. For a "
+            f"microcontroller ({', '.join(MICROCONTROLLERS)}), write C and a static library instead.",
         ),
     ] = "",
     all_platforms: Annotated[
@@ -125,7 +126,16 @@ def build(
     if all_platforms:
         refuse_without_effect("--all-platforms", {"--platform": platform})
     folder = fmu_folder(flavour) if cache else out or (_FOLDERS[flavour] if fmi == 2 else _FMI3_FOLDER)
-    named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
+    if platform in MICROCONTROLLERS:
+        unused = {"--flavour": flavour is not Flavour.NATIVE, "--cache": cache, "--terminals": terminals}
+        unused |= {"--reals-only": reals_only, "--with-reference": with_reference, "--fmi": fmi != 2}
+        refuse_without_effect(f"--platform {platform}", unused)
+        _write_firmware(names or block_names(), out or _FOLDERS[flavour] / platform, platform)
+        return
+    given = [name.strip() for name in platform.split(",")] if platform else ()
+    named = check_platforms(given, (*PLATFORMS, *MICROCONTROLLERS))
+    if alone := MICROCONTROLLERS.keys() & {*named}:
+        fail(f"--platform {platform}: expected no other platform beside {min(alone)}")
     platforms = PLATFORMS if all_platforms else named
 
     classes = [name for name in names or () if ".py:" in name]
@@ -158,6 +168,18 @@ def build(
         count, reasons = len(classes) + len(requests), "; ".join(map(str, refused.values()))
         listed = f"{len(refused)} of {count} not built: {', '.join(refused)}: " if count > 1 else ""
         fail(listed + reasons)
+
+
+def _write_firmware(names: Sequence[str], folder: Path, microcontroller: str) -> None:
+    """Writes the folder of each block for a microcontroller, and prints its files."""
+    from fmus.generate.builder import loaded
+    from fmus.generate.firmware import write_firmware
+
+    for name in names:
+        with loaded(name) as blocks:
+            for traced in blocks:
+                files = write_firmware(traced, folder / traced.block.name, microcontroller)
+                print(*files, sep="\n", flush=True)
 
 
 def _built_class(name: str, folder: Path | None) -> Path:

@@ -34,6 +34,7 @@ static double read(const char *text, char **end) {
 #define snprintf print
 #define strtod read
 #define STANDARD fmi2
+#define LogMessageCallback CallbackLogger
 #define LOG_ESCAPED "%#"
 #include "fmi2Functions.h"
 #include "log.h"

@@ -170,3 +170,12 @@ def test_our_own_sources_need_no_warning_switched_off(written: Callable[[int], P
         ["cc", "-std=c99", *warnings, "-isystem", "generated", *HEADERS, "-c", f"fmi{fmi}.c", "-o", "it.o"],
         sources,
     )
+
+
+@pytest.mark.cross
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_gcc_for_a_microcontroller_has_no_warning(written: Callable[[int], Path], fmi: int) -> None:
+    """It sees more uninitialized variables than Clang, and there uint32_t is no unsigned int."""
+    options = ("-mcpu=cortex-m7", "-Os", "-std=c99", "-Wall", "-Wextra", "-Werror", *GENERATED, *HEADERS)
+    command = ["arm-none-eabi-gcc", *options, "-c", f"fmi{fmi}.c", "-o", "it.o"]
+    subprocess.run(command, cwd=written(fmi), check=True)

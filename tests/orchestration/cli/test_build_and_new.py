@@ -121,6 +121,20 @@ def test_what_cannot_be_imported_stops_no_other(command: Command) -> None:
     assert alone.stderr == line.replace("1 of 3 not built: bad.py: ", "") + "\n"
 
 
+def test_a_microcontroller_gets_a_folder_of_its_own(command: Command, refused: Command) -> None:
+    build = "build", "ThrustAllocation", "--platform"
+    files = command(*build, "cortex-m7").stdout.split()
+    folder = Path("fmus-built/cortex-m7/ThrustAllocation")
+    names = ("ThrustAllocation.h", "ThrustAllocation.c", "example.c", "libThrustAllocation.a", "README.md")
+    assert files == [str(folder / name) for name in names]
+    # code of this block is some kB, and no frame of it is empty
+    code, stack = re.findall(r"\| ([\d,]+) \|", (folder / "README.md").read_text())
+    assert 1000 < int(code.replace(",", "")) < 10_000
+    assert 100 < int(stack.replace(",", "")) < 2000
+    assert "expected no other platform beside cortex-m7" in refused(*build, "linux64,cortex-m7")
+    assert "--fmi: no effect with --platform cortex-m7" in refused(*build, "cortex-m7", "--fmi", "3")
+
+
 def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Command, refused: Command) -> None:
     command("new", "pid")
     text = Path("pid.py").read_text()

@@ -1,0 +1,96 @@
+"""Runs Frama-C's Eva on a harness, and finds the block's own expression and line of each alarm."""
+
+import re
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fmus.errors import ExportError
+from fmus.generate.c_code import c_function
+from fmus.generate.operations import places_of
+from fmus.generate.trace import Traced
+from fmus.prove.harness import REACHED, Interval, Shown, boxes, harness, traced_function
+
+_OPTIONS = "-machdep gcc_x86_64 -eva -eva-precision 3 -eva-slevel 400 -warn-special-float non-finite"
+_ALARM = re.compile(r"\[eva:alarm\] \S+?:(\d+): Warning:\s+(.+?)(?=\n\S|\Z)", re.DOTALL)
+_LONGEST_S = 500
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """An operation that Eva cannot prove: kind, expression in the block's names, the line that divides."""
+
+    kind: str
+    expression: str
+    line: str
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The result for one block; seconds: wall time of Eva."""
+
+    name: str
+    inputs: Sequence[Interval]
+    states: Sequence[Interval]
+    alarms: Sequence[Alarm]
+    seconds: float
+
+
+def proof(traced: Traced, divisions: Sequence[tuple[str, Any]]) -> Proof:
+    """Returns what Eva proves of a step from every state and input of the boxes.
+
+    divisions: line and divisor of each division, as `guard.divisions` records them
+    Raises ExportError if Frama-C is not installed or ends without a result.
+    """
+    inputs, states = boxes(traced)
+    code = harness(traced, inputs, states)
+    start = time.monotonic()
+    log = _frama_c(code, traced.block.name)
+    seconds = time.monotonic() - start
+    alarms = dict.fromkeys(_alarms(log, code.splitlines(), traced, divisions))
+    return Proof(traced.block.name, inputs, states, [*alarms], seconds)
+
+
+def _frama_c(code: str, name: str) -> str:
+    with tempfile.TemporaryDirectory(prefix="l1-depth-prove-") as folder:
+        # by its whole path: frama-c looks into the folder of the shell, PWD
+        file = Path(folder) / "harness.c"
+        file.write_text(code, encoding="utf-8")
+        command = ["frama-c", *_OPTIONS.split(), str(file)]
+        try:
+            done = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, check=False, timeout=_LONGEST_S
+            )
+        except FileNotFoundError:
+            raise ExportError("frama-c is not installed: expected Debian's package frama-c-base") from None
+        except subprocess.TimeoutExpired:
+            raise ExportError(f"{name}: Eva did not end within {_LONGEST_S} s") from None
+    # the colon: a warning names the function, too
+    if done.returncode or not (f"{REACHED}:" in done.stdout or "[eva:alarm]" in done.stdout):
+        raise ExportError(f"{name}: frama-c has no result: {(done.stdout + done.stderr).strip()[-1000:]}")
+    return done.stdout
+
+
+def _alarms(
+    log: str, lines: Sequence[str], traced: Traced, divisions: Sequence[tuple[str, Any]]
+) -> Iterator[Alarm]:
+    shown = Shown(traced)
+    for number, text in _ALARM.findall(log):
+        kind, _, condition = " ".join(text.split()).partition(". assert ")
+        index = int(number) - 1
+        head = next((h for h in reversed(lines[:index]) if h.startswith("static void block_")), "")
+        found = re.match(r"static void block_(\w+)", head)
+        operation = re.match(r"\s*v(\d+) = ", lines[index])
+        if not found or not operation:
+            yield Alarm(kind, condition, "")
+            continue
+        function = traced_function(traced, found[1])
+        f, at = c_function(function, found[1]), int(operation[1])
+        places = places_of(function, [divisor for _, divisor in divisions])
+        divides = f.operations[at].name in ("DIV", "INV")
+        place = places.get(f.operations[at].arguments[-1]) if divides else None
+        yield Alarm(kind, shown.expression(f, at), "" if place is None else divisions[place][0])
