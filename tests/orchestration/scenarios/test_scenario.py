@@ -133,7 +133,7 @@ def test_an_fmu_path_is_relative_to_the_file_that_gives_it(tmp_path: Path) -> No
     for folder in (tmp_path, tmp_path / "lib"):
         write(folder, text, "base.toml")
         base = (folder / "base.toml").relative_to(tmp_path)
-        for path in (folder / "base.toml", write(tmp_path, f'base = "{base}"')):
+        for path in (folder / "base.toml", write(tmp_path, f"base = '{base}'")):
             assert scenario.load(path).system.components["p"] == folder / "models/mine.fmu"
 
 
