@@ -20,17 +20,34 @@ from orchestration import Recording
 from tests.windows.wine_python import WinePython
 
 ROOT = Path(__file__).parent.parent.parent
-# of the extra `test`, what the tests import; and what pip adds on Windows alone
-MORE = ("build", "colorama", "filelock", "hypothesis", "pip", "psutil", "pytest", "pytest-xdist", "selenium")
+# of the extra `test`, what the tests import; and what is required on Windows alone
+MORE = (
+    "build",
+    "cffi",
+    "colorama",
+    "filelock",
+    "hypothesis",
+    "pip",
+    "psutil",
+    "pytest",
+    "pytest-xdist",
+    "selenium",
+)
 # Sines, exponentials and logarithms of Wine's C library differ from those of glibc in the last bit: the noise
 # of the sensor has them, and the example. Measured: 9e-13 of the largest value of a signal.
 OTHER_LIBRARY = 1e-11
 # None of them is in these recordings.
 SAME = ("nominal-extended-ideal.csv", "buoyancy-extended-ideal.csv", "buoyancy-l1-ideal.csv")
-# the rooms of the default tests that take some minutes under Wine
-ROOMS = ("tests/plant_fmu", "tests/controller_fmu", "tests/orchestration/system")
-# what fails there -> the reason
-UNDER_WINE: dict[str, str] = {}
+# of the default tests, those that take five minutes together where nothing else runs
+ROOMS = (
+    "tests/plant_fmu",
+    "tests/controller_fmu",
+    "tests/closed_loop",
+    "tests/fmus/block",
+    "tests/orchestration/results",
+    "tests/orchestration/scenarios",
+    "tests/orchestration/system",
+)
 
 pytestmark = pytest.mark.windows
 
@@ -171,9 +188,8 @@ def test_a_command_of_the_readme_succeeds(
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_the_tests_of_a_room_pass(room: str, python: WinePython, clone: Path) -> None:
-    """All but those of `UNDER_WINE`, which must fail."""
-    done = python.run("python.exe", "-m", "pytest", "-q", "-n", "2", "-rfE", room, cwd=clone)
+    done = python.run("python.exe", "-m", "pytest", "-q", "-n", "0", room, cwd=clone)
+    # for the count of tests that a failure shows, and `pytest -rP`
     print(done.stdout[-20_000:])
-    failed = {name.partition("[")[0] for name in re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.M)}
-    assert re.search(r"\d+ passed", done.stdout)
-    assert failed == {name for name in UNDER_WINE if name.startswith(room)}
+    assert re.search(r"^\d+ passed", done.stdout, re.M)
+    assert done.returncode == 0
