@@ -168,7 +168,9 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("not toml at all [", r"expected TOML"),
+        ("not toml at all [", r"expected TOML: .*\)$"),
+        (r'components.p = "C:\users\mine.fmu"', r"expected TOML: .*; a path with \\ needs single quotes"),
+        (r'components.p = "C:\mine.fmu"', r"expected TOML: .*; a path with \\ needs single quotes"),
         (MINIMAL.replace("[inputs]", "[input]"), r"unknown key 'input'; nearest is 'inputs'"),
         (MINIMAL.replace("step_size", "stepsize"), r"unknown key 'stepsize'; nearest is 'step_size'"),
         (MINIMAL.replace("stop_time = 1", 'stop_time = "1"'), r"stop_time = '1': expected a number"),
