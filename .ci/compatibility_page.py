@@ -1,4 +1,4 @@
-"""Page reference/compatibility.md, which importer runs which FMUs, by a table of tests."""
+"""Page reference/compatibility.md: which importer runs which FMUs, and what runs in Windows, by tests."""
 
 import tomllib
 from collections.abc import Mapping
@@ -8,7 +8,9 @@ from typing import Any
 from fmus.registry import block_names
 from orchestration.cli.explain import markdown_table
 
-DATA = Path(__file__).parent.parent / "tests" / "importers" / "interfaces.toml"
+_TESTS = Path(__file__).parent.parent / "tests"
+DATA = _TESTS / "importers" / "interfaces.toml"
+WINDOWS = _TESTS / "windows" / "runs.toml"
 INTERFACES = ("CS 2.0", "ME 2.0", "CS 3.0", "ME 3.0", "CS 2.0, python")
 _HEAD = """\
 # Importers and interfaces
@@ -33,6 +35,13 @@ _DID_NOT_RUN = """\
 fmi4c stepped `RovDepthPlant`: its depth was this master's to the last bit. PyFMI 2.5, OMSimulator 3.0.0,
 FMI++, CoFMPy 1.0.0, energysim 2.1.9.1, syssimx 0.4.3 and PyCosimLibrary 0.0.5 did not run the two
 FMUs of the loop (November 2026)."""
+_SYSTEMS = """\
+## Operating systems
+
+Everything runs on 64-bit Linux. CPython 3.11 for Windows ran under Debian's Wine 8 as below (November 2026,
+`tests/windows/test_windows.py`), not on Windows itself, whose C library is another. macOS: not run.
+
+In PowerShell, `;` stands for `&&`, and `.venv\\Scripts\\activate` for `source .venv/bin/activate`."""
 _RUNS = "## What was run\n\nVersions of November 2026. `Drift` is a block of the test."
 
 Table = Mapping[str, Mapping[str, Any]]
@@ -41,6 +50,11 @@ Table = Mapping[str, Mapping[str, Any]]
 def table() -> Table:
     """Importer -> what it does with each interface, and the names of its page and distribution."""
     return tomllib.loads(DATA.read_text(encoding="utf-8"))
+
+
+def windows() -> list[dict[str, str]]:
+    """What ran on a Python for Windows, what was seen, and the test."""
+    return tomllib.loads(WINDOWS.read_text(encoding="utf-8"))["runs"]
 
 
 def page() -> str:
@@ -64,6 +78,8 @@ def page() -> str:
         markdown_table(heads, runs),
     ]
     parts += [_DID_NOT_RUN, _AGREEMENT, markdown_table(agreed, agreement)]
+    under_wine = [(run["what"], run["seen"], f"`{run['test']}`") for run in windows()]
+    parts += [_SYSTEMS, markdown_table(("Under Wine", "Seen", "Test"), under_wine)]
     return "\n\n".join(parts) + "\n"
 
 

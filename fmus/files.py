@@ -79,6 +79,8 @@ def packed(members: Mapping[str, bytes]) -> bytes:
             # by default, a member has the time of the build: equal members would give other bytes
             info = zipfile.ZipInfo(name, _EPOCH)
             info.compress_type = zipfile.ZIP_DEFLATED
+            # 3 is Unix, whose file modes follow; by default, each system writes its number
+            info.create_system = 3
             info.external_attr = 0o644 << 16
             archive.writestr(info, members[name])
     return stream.getvalue()

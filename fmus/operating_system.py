@@ -4,6 +4,7 @@ No other module calls functions that some systems lack. Each call stands beside 
 """
 
 import contextlib
+import ctypes
 import os
 import signal
 import stat
@@ -32,8 +33,12 @@ def usable_processors() -> int:
 
 
 def memory_size() -> int | None:
-    """Returns the bytes of memory of this machine; None in Windows."""
-    return None if sys.platform == "win32" else os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    """Returns the bytes of memory of this machine; None where Windows has no count of them."""
+    if sys.platform == "win32":
+        kilobytes = ctypes.c_ulonglong()
+        is_counted = ctypes.windll.kernel32.GetPhysicallyInstalledSystemMemory(ctypes.byref(kilobytes))
+        return 1024 * kilobytes.value if is_counted else None
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def foreign_threads() -> set[str]:

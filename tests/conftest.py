@@ -87,6 +87,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["HOME"] = home
     for name in ("CACHE", "CONFIG", "DATA", "STATE"):
         os.environ[f"XDG_{name}_HOME"] = f"{home}/{name.lower()}"
+    # the place of caches in Windows
+    os.environ["LOCALAPPDATA"] = f"{home}/cache"
     os.environ[FOLDER_VARIABLE] = f"{home}/fmus"
 
 

@@ -110,6 +110,8 @@ def test_the_page_on_importers_names_tests_that_there_are_with_their_fmus() -> N
         assert name in functions
         expected = ["builder.block_names()"] if run["fmus"] == "all" else [f'"{fmu}"' for fmu in run["fmus"]]
         assert [part for part in expected if part not in text] == []
+    text = (ROOT / "tests/windows/test_windows.py").read_text(encoding="utf-8")
+    assert {run["test"] for run in program["windows"]()} == set(re.findall(r"^def (test_\w+)", text, re.M))
 
 
 def test_the_page_on_importers_has_a_row_for_each_run() -> None:

@@ -4,11 +4,10 @@ import contextlib
 import ctypes
 import functools
 import itertools
-import shutil
 import sys
-import tempfile
 from typing import Any
 
+from fmus.native.compiled_library import load_copy
 from fmus.platforms import FMPY, SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM
 
 # fmi2Status
@@ -118,13 +117,8 @@ def _logger() -> Any:
     # The library is FMPy's, copied and loaded for this module alone: FMPy's own copy serves the logger that
     # was registered last in the process. Where the copy cannot be loaded, messages arrive without arguments.
     callbacks = CallbackFunctions(logger=_python_logger)
-    name = f"logging{SHARED_LIBRARY_SUFFIX}"
-    original = FMPY / "logging" / SYSTEM_PLATFORM / name
-    with (
-        contextlib.suppress(OSError),
-        tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as folder,
-    ):
-        formatter = ctypes.CDLL(shutil.copy(original, folder))
+    with contextlib.suppress(OSError):
+        formatter = load_copy(FMPY / "logging" / SYSTEM_PLATFORM / f"logging{SHARED_LIBRARY_SUFFIX}")
         formatter.addLoggerProxy.argtypes, formatter.addLoggerProxy.restype = [ctypes.c_void_p], None
         formatter.addLoggerProxy(ctypes.byref(callbacks))
     return callbacks.logger

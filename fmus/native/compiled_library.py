@@ -32,6 +32,16 @@ def load(source: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
     return _load(content, shipped)
 
 
+def load_copy(original: Path) -> ctypes.CDLL:
+    """Loads a copy of a library, whose global variables no other user in this process shares."""
+    content = original.read_bytes()
+    name = f"{original.stem}-{store.digest(content)[:32]}{original.suffix}"
+    # a temporary copy would stay on the disk of Windows after the process
+    if os.name == "nt" and store.get(_KIND, name) is None:
+        store.put(_KIND, name, content)
+    return _load(content, original.with_name(name))
+
+
 def is_compiled(source: Path, options: Sequence[str] = ()) -> bool:
     """Whether the library of a source is in the store."""
     return store.get(_KIND, file_name(source, host_platform(), options)) is not None

@@ -117,7 +117,10 @@ def _complaint(path: Path, error: ValueError) -> str:
     if isinstance(error, tomllib.TOMLDecodeError | UnicodeDecodeError):
         if path.read_bytes().startswith(b"\xef\xbb\xbf"):
             return f"{path}: a byte order mark at its start: expected UTF-8 without one"
-        return f"{path}: expected TOML: {error}"
+        # as in "C:\users" and "C:\mine"
+        is_backslash = "hex value" in str(error) or "Unescaped" in str(error)
+        hint = "; a path with \\ needs single quotes" if is_backslash else ""
+        return f"{path}: expected TOML: {error}{hint}"
     lines = enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
     longest = {number: max(map(len, re.findall(r"\d+", line)), default=0) for number, line in lines}
     number = next(n for n, digits in longest.items() if digits > sys.get_int_max_str_digits())

@@ -7,10 +7,16 @@
 #define _XOPEN_SOURCE 600
 #include <fenv.h>
 #include <signal.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
+#ifdef _WIN32 /* which has no sessions and limits no files */
+void __stdcall Sleep(unsigned long);
+#define pause() Sleep(-1)
+#define setsid() 0
+#else
+#include <sys/resource.h>
+#endif
 
 enum { MISDEED, MISDEED_TIME, LONGEST_STEP, U, Y, N_VARIABLES };
 
@@ -112,7 +118,9 @@ static fmi2Status model_step(Slave *s, double h) {
     if (is_due(s, IGNORE_INTERRUPTS)) signal(SIGINT, SIG_IGN);
     if (is_due(s, HIDE_FILES)) umask(0777);
     if (is_due(s, LEAVE_SESSION)) setsid();
+#ifndef _WIN32
     if (is_due(s, LIMIT_FILES)) setrlimit(RLIMIT_FSIZE, &(struct rlimit){100, 100});
+#endif
     if (is_due(s, ERROR)) return refuse(s, fmi2Error, "the rudder is stuck");
     if (is_due(s, FATAL_ERROR)) return refuse(s, fmi2Fatal, "the hull is breached");
     if (discards(s) && h > d->value[LONGEST_STEP] * (1 + 1e-9)) return discard(s, h);

@@ -7,10 +7,13 @@ of equal name are connected, so the outputs of a block fit the inputs of the sam
 `GraphicalRepresentation` is left out: some readers take the first child of the root for the terminals.
 """
 
-import io
+import struct
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from xml.etree import ElementTree
+
+import numpy as np
 
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
@@ -25,13 +28,14 @@ SIZE = 512
 # The picture is drawn larger and scaled down: Pillow draws shapes without smooth edges.
 _SCALE = 4
 _PAPER, _INK, _BAND, _INPUT, _OUTPUT = "#ffffff", "#1d2b3a", "#12486b", "#b45309", "#12486b"
-_COLOURS = 128
+# of each channel: the palette holds the colours on edges, too
+_LEVEL = 17
 _EDGE, _RADIUS, _HEADER, _PORT = 14, 26, 96, 9
 _LARGEST_TEXT, _LARGEST_NAME = 21.0, 46.0
 
 
 def icon(block: Block) -> bytes:
-    """Returns the picture as PNG: the same bytes for the same block and libraries, without a date."""
+    """Returns the picture as PNG: the same bytes for the same block on every system, without a date."""
     side = SIZE * _SCALE
     image = Image.new("RGBA", (side, side), (0, 0, 0, 0))
     draw = ImageDraw.Draw(image)
@@ -42,9 +46,29 @@ def icon(block: Block) -> bytes:
     name = _font(draw, block.name, SIZE - 2 * _EDGE - 40, _LARGEST_NAME)
     draw.text((side / 2, _px(_EDGE + _HEADER / 2)), block.name, _PAPER, name, "mm")
     _ports(draw, block)
-    stream = io.BytesIO()
-    image.reduce(_SCALE).quantize(_COLOURS, Image.Quantize.FASTOCTREE).save(stream, "PNG")
-    return stream.getvalue()
+    # Pillow's own choice of a palette, and its compression, differ between systems.
+    levels = [_LEVEL * round(value / _LEVEL) for value in range(256)]
+    return _png(image.reduce(_SCALE).point(levels * len(image.getbands())))
+
+
+def _png(image: Image.Image) -> bytes:
+    """Returns an RGBA image of at most 256 colours as PNG with a palette (ISO/IEC 15948, 11.2 and 11.3.2)."""
+    colours, indices = np.unique(np.frombuffer(image.tobytes(), ">u4"), return_inverse=True)
+    palette = colours.astype(">u4").view("u1").reshape(-1, 4)
+    # each row begins with the number of its filter, which is 0: none
+    rows = np.pad(indices.reshape(SIZE, SIZE).astype("u1"), ((0, 0), (1, 0)))
+    chunks = {
+        b"IHDR": struct.pack(">IIBBBBB", SIZE, SIZE, 8, 3, 0, 0, 0),
+        b"PLTE": palette[:, :3].tobytes(),
+        b"tRNS": palette[:, 3].tobytes(),
+        b"IDAT": zlib.compress(rows.tobytes(), 9),
+        b"IEND": b"",
+    }
+    parts = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks.items()
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
 def _px(length: float) -> int:

@@ -20,7 +20,7 @@ def misbehaving(rogue: Build, tmp_path: Path) -> Callable[..., str]:
 
     def write(misdeed: Misdeed, time: float = 0.0, stop: float = 1.0) -> str:
         (tmp_path / "mine.toml").write_text(
-            f'[components]\nrudder = "{rogue(saves_state=True, serialises_state=True)}"\n'
+            f"[components]\nrudder = '{rogue(saves_state=True, serialises_state=True)}'\n"
             f'[experiment]\nstop_time = {stop}\nstep_size = 0.1\n[inputs]\n"rudder.u" = 1.0\n'
             f'[parameters]\n"rudder.misdeed" = {int(misdeed)}\n"rudder.misdeed_time" = {time}\n'
         )

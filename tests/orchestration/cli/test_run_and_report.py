@@ -155,7 +155,7 @@ def test_a_run_that_an_fmu_terminates_is_complete(
     command: Command, stair: Callable[..., Path], tmp_path: Path
 ) -> None:
     scenario_of_a_stair = f"""
-        components = {{ stair = "{stair(saves_state=True)}" }}
+        components = {{ stair = '{stair(saves_state=True)}' }}
         experiment = {{ stop_time = 20.0, step_size = 0.5 }}
         metrics.last = {{ function = "mean", signal = "stair.counter", window = [15.0, 20.0] }}
     """

@@ -360,7 +360,7 @@ def test_an_algebraic_loop_starts_from_the_values_of_fmi_2(
 SWEPT = """
 base = "nominal-extended"
 [components]
-plant = "{plant}"
+plant = '{plant}'
 [experiment]
 stop_time = 2.0
 [metrics]

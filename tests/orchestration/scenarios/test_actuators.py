@@ -83,7 +83,7 @@ def test_settings_and_the_file_that_names_the_vehicle_give_others(tmp_path: Path
     assert parameters(plant, controller__voltage_limit=5.0) == {}
     child = tmp_path / "child.toml"
     child.write_text(
-        f'base = "nominal-extended"\ncomponents = {{ plant = "{plant}" }}\n'
+        f"base = 'nominal-extended'\ncomponents = {{ plant = '{plant}' }}\n"
         '[parameters]\n"controller.voltage_limit" = 5.0\n'
     )
     loaded = scenario.load(child)

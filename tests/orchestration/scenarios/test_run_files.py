@@ -29,7 +29,7 @@ def loaded(tmp_path: Path, stair: Callable[..., Path]) -> Scenario:
     """A scenario whose metrics are those of the made-up recording."""
     file = tmp_path / "dive.toml"
     file.write_text(
-        f'components = {{ stair = "{stair()}" }}\nexperiment = {{ stop_time = 2.0, step_size = 1.0 }}\n'
+        f"components = {{ stair = '{stair()}' }}\nexperiment = {{ stop_time = 2.0, step_size = 1.0 }}\n"
     )
     return replace(scenario.load(file), metrics={"held": HELD})
 
@@ -86,7 +86,7 @@ def test_the_files_are_written_before_an_fmu_is_freed(
     original = FmuInstance.status
     monkeypatch.setattr(FmuInstance, "status", status)
     text = (
-        f'components = {{ r = "{rogue(saves_state=True)}" }}\ninputs = {{ "r.u" = 1.0 }}\n'
+        f"components = {{ r = '{rogue(saves_state=True)}' }}\ninputs = {{ \"r.u\" = 1.0 }}\n"
         "experiment = { stop_time = 2.0, step_size = 1.0 }\n"
     )
     (tmp_path / "dive.toml").write_text(text)

@@ -133,7 +133,7 @@ def test_an_fmu_path_is_relative_to_the_file_that_gives_it(tmp_path: Path) -> No
     for folder in (tmp_path, tmp_path / "lib"):
         write(folder, text, "base.toml")
         base = (folder / "base.toml").relative_to(tmp_path)
-        for path in (folder / "base.toml", write(tmp_path, f'base = "{base}"')):
+        for path in (folder / "base.toml", write(tmp_path, f"base = '{base}'")):
             assert scenario.load(path).system.components["p"] == folder / "models/mine.fmu"
 
 
@@ -168,7 +168,9 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("not toml at all [", r"expected TOML"),
+        ("not toml at all [", r"expected TOML: .*\)$"),
+        (r'components.p = "C:\users\mine.fmu"', r"expected TOML: .*; a path with \\ needs single quotes"),
+        (r'components.p = "C:\mine.fmu"', r"expected TOML: .*; a path with \\ needs single quotes"),
         (MINIMAL.replace("[inputs]", "[input]"), r"unknown key 'input'; nearest is 'inputs'"),
         (MINIMAL.replace("step_size", "stepsize"), r"unknown key 'stepsize'; nearest is 'step_size'"),
         (MINIMAL.replace("stop_time = 1", 'stop_time = "1"'), r"stop_time = '1': expected a number"),
