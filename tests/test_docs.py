@@ -315,7 +315,7 @@ def words(pages: Sequence[Path]) -> int:
 
 
 def test_pages_have_at_most_45_500_words_and_tutorials_and_how_tos_20_500() -> None:
-    """Pages made by the site's build do not count. 45,000, and 500 for firmware, proofs and the certificate."""
+    """Pages made by the site's build do not count. 500 words are of firmware, proofs and the certificate."""
     assert 0 < words(FOR_USERS) <= 20_500
     assert words(FOR_USERS) < words(PAGES) <= 45_500
 

@@ -29,6 +29,7 @@ AT_WORK = {
     "new pid": "fmus.block.block_file.write_new_block",
     "build ExamplePlant --out out": "fmus.generate.builder.build_orders",
     "check {fmu}": "fmus.compliance.examine.examine",
+    "prove ExamplePlant": "fmus.prove.eva.proof",
     "verify {fmu}": "fmus.fmi.description.describe",
     "inspect my.fmu": "fmus.fmi.description.describe",
     "cache": "fmus.store.entries",
