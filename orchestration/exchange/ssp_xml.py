@@ -1,5 +1,6 @@
 """The XML of SSP: its namespaces, and elements with values of the types that FMI 2.0 has."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from enum import StrEnum
 from xml.etree import ElementTree
@@ -20,6 +21,7 @@ NAMESPACES = {
     "ssd": f"{_STANDARD}Description",
     "ssc": f"{_STANDARD}Common",
     "ssv": f"{_STANDARD}ParameterValues",
+    "ssm": f"{_STANDARD}ParameterMapping",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
     "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
 }
@@ -56,9 +58,11 @@ def add_value(parent: Element, value: FmiValue, unit: str | None = None) -> None
 def read_value(parameter: Element) -> FmiValue:
     """Returns the value of an ssv:Parameter.
 
-    Raises ValueError for a type that FMI 2.0 does not have, or a value of another type.
+    Raises ValueError for a type that FMI does not have, or a value of another type.
     """
-    read = {"Real": float, "Integer": int, "String": str, "Enumeration": str}
+    read: dict[str, Callable[[str], FmiValue]] = {"Real": float, "String": str, "Enumeration": str}
+    read |= {"Integer": int, **dict.fromkeys(("Float32", "Float64"), float)}
+    read |= {f"{sign}Int{bits}": int for sign in ("", "U") for bits in (8, 16, 32, 64)}
     read["Boolean"] = {"true": True, "1": True, "false": False, "0": False}.__getitem__
     for element in parameter:
         kind = element.tag.rpartition("}")[2]

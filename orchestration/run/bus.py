@@ -58,7 +58,7 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
     signals = [*prepared.experiment.signals, *prepared.external]
     pairs += [(f"{SIGNAL}{name}", name) for name in signals]
     order = {name: c for c, name in enumerate(prepared.system.components)}
-    connections = sorted(pairs, key=lambda pair: order[component_of(pair[1])])
+    connections = sorted(pairs, key=lambda pair: order[component_of(pair[1], prepared)])
     modes = {target: _input_mode(prepared, source, target) for source, target in connections}
     smooth = {target for target, mode in modes.items() if mode is InputMode.FMU_DERIVATIVE}
     read = {*prepared.recorded, *(source for source, _ in connections)} - modes.keys()
@@ -82,9 +82,9 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
     return BusLayout(connections, [*modes.values()], calls, integer_count, index)
 
 
-def component_of(name: str) -> str:
+def component_of(name: str, prepared: PreparedRun) -> str:
     """Returns the component of "component.variable"; empty for a signal."""
-    return name.partition(".")[0]
+    return prepared.system.ports[name].component if name in prepared.system.ports else ""
 
 
 def _input_mode(prepared: PreparedRun, source: str, target: str) -> InputMode:

@@ -222,10 +222,10 @@ def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.n
     numbers = {name: c for c, name in enumerate(prepared.system.components)}
     faults = {name: row for row, name in enumerate(prepared.fault_patterns)}
     validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
-    targets = [component_of(target) for _, target in bus.connections]
+    targets = [component_of(target, prepared) for _, target in bus.connections]
     indices, limits = [], []
     for (source, target), own, mode in zip(bus.connections, targets, bus.input_modes, strict=True):
-        owner, ends = component_of(source), (bus.index[source], bus.index[target])
+        owner, ends = component_of(source, prepared), (bus.index[source], bus.index[target])
         indices.append((*ends, numbers.get(owner, -1), faults.get(target, -1), mode))
         periods = prepared.periods[own] / prepared.periods.get(owner, 1)
         transformation = prepared.system.transformations.get(target, _UNCHANGED)

@@ -87,7 +87,7 @@ def run(
 
 def check_steps(prepared: PreparedRun) -> None:
     """Checks that no controller estimates by control of internal steps that the vehicle does not get."""
-    for name in sorted({n.partition(".")[0] for n in prepared.system.ports if n.endswith(_ESTIMATES)}):
+    for name in sorted({p.component for n, p in prepared.system.ports.items() if n.endswith(_ESTIMATES)}):
         values, step = values_of(prepared, name), prepared.periods[name] * prepared.experiment.step_size
         internal_step = values.get("internal_step", step)
         if step > internal_step * (1.0 + GRID_TOLERANCE):

@@ -15,7 +15,7 @@ from fmus.errors import FmuLoadError
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError, ScenarioWarning, about
+from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError, about
 from orchestration.results import metrics
 from orchestration.scenarios.changes import given_layers, other_fmu, values_of_settings
 from orchestration.scenarios.composition import compose, with_actuators
@@ -139,6 +139,8 @@ def load(
         experiment = _experiment(file, data)
         _check_overlap(data["signals"], experiment.start_time, experiment.stop_time)
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)
+    if dotted := [name for name in data["components"] if "." in name]:
+        raise SystemDefinitionError(f"component {dotted[0]!r}: expected a name without a dot", dotted[0])
     return Scenario(
         name=path.stem,
         title=file.title,

@@ -51,12 +51,13 @@ class LinearTransformation:
         return cls(**{name: float(value) for name, value in given.items()})
 
 
-# type of an input -> types of outputs that it accepts, of which it can hold every value
+# type of an input -> types of outputs that it accepts, of which it can hold every value;
+# items of an enumeration are transferred as Integers, and some tools declare them so
 _ACCEPTED = {
     "Real": ("Real", "Integer"),
     "Integer": ("Integer", "Enumeration"),
     "Boolean": ("Boolean",),
-    "Enumeration": ("Enumeration",),
+    "Enumeration": ("Enumeration", "Integer"),
     "String": ("String",),
 }
 
@@ -101,8 +102,11 @@ class System:
         if not isinstance(components, Mapping):
             raise SystemDefinitionError(f'components: expected {{"name": "path.fmu"}}, got {components!r}')
         for name in components:
-            if not isinstance(name, str) or not name or "." in name:
+            if not isinstance(name, str) or not name:
                 raise SystemDefinitionError(f"component {name!r}: expected a name without a dot")
+            # a component of a nested system has the name of that system before its own
+            if any(name.startswith(f"{other}.") for other in components):
+                raise SystemDefinitionError(f"component {name!r}: expected a name that no other begins")
         paths = {name: _fmu(path) for name, path in components.items()}
         object.__setattr__(self, "components", paths)
         object.__setattr__(self, "connections", tuple(_ends(connection) for connection in connections))
@@ -157,23 +161,24 @@ class CheckedSystem:
 
     def port(self, name: str, purpose: str) -> Port:
         """Returns the variable called "component.variable"; an unknown one offers the nearest."""
-        component = name.partition(".")[0]
+        if name in self.ports:
+            return self.ports[name]
+        begun = (own for own in self.components if name.startswith(f"{own}."))
+        component = next(begun, name.partition(".")[0])
         if component not in self.components:
             raise SystemDefinitionError(
                 f"{purpose}: no component {component!r} for {name!r}; {nearest(component, self.components)}",
                 name,
             )
-        if name not in self.ports:
-            left_out = self.descriptions[component].left_out.get(name.partition(".")[2])
-            if left_out:
-                raise SystemDefinitionError(
-                    f"{purpose}: {name} has type {left_out}: expected a number, a Boolean or a String, "
-                    "and no Clock",
-                    name,
-                )
-            candidates = [known for known in self.ports if known.startswith(component + ".")]
-            raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}", name)
-        return self.ports[name]
+        left_out = self.descriptions[component].left_out.get(name.removeprefix(f"{component}."))
+        if left_out:
+            raise SystemDefinitionError(
+                f"{purpose}: {name} has type {left_out}: expected a number, a Boolean or a String, "
+                "and no Clock",
+                name,
+            )
+        candidates = [known for known in self.ports if known.startswith(component + ".")]
+        raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}", name)
 
     def components_without(self, capability: str) -> list[str]:
         """Returns the components whose FMU does not declare a capability of FMI 2.0 co-simulation."""

@@ -8,7 +8,6 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.system import LinearTransformation
 from tests.described_fmus import described, members
-from tests.orchestration.exchange.conftest import refusal
 
 SCENARIO = """
 connections = [["a.y", "b.u", { factor = 0.001, offset = -0.5 }], ["a.y", "b.v"]]
@@ -46,12 +45,10 @@ def without_the_attribute(package: Path) -> Path:
     return write_archive(package.with_stem("changed"), changed)
 
 
-def test_a_transformation_beside_a_conversion_of_units_is_refused(tmp_path: Path) -> None:
-    package = without_the_attribute(packaged(tmp_path, "m")[1])
-    message = (
-        "connection a.y -> b.u: a transformation beside a conversion of mm to m: not supported; expected"
-    )
-    assert message in refusal(package)
+def test_a_transformation_acts_behind_the_conversion_of_units(tmp_path: Path) -> None:
+    with ssp_read.opened(without_the_attribute(packaged(tmp_path, "m")[1])) as loaded:
+        # 0.001 of a value in m, which is 1e-3 of the one in mm
+        assert loaded.system.connections[0] == ("a.y", "b.u", LinearTransformation(1e-6, -0.5))
 
 
 def test_a_transformation_between_equal_units_needs_no_attribute(tmp_path: Path) -> None:

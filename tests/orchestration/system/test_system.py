@@ -44,7 +44,7 @@ def test_names_may_be_plain_text_and_connections_lists() -> None:
     ("components", "connections", "message"),
     [
         (["a.fmu"], [], r"expected \{\"name\": \"path.fmu\"\}, got \['a.fmu'\]"),
-        ({"my.fmu": "a.fmu"}, [], "component 'my.fmu': expected a name without a dot"),
+        ({"a.b": "a.fmu", "a": "a.fmu"}, [], "component 'a.b': expected a name that no other begins"),
         ({"a": "a.fmu"}, ("a.y", "a.u"), r"connection 'a.y': expected \(\"a.output\", \"b.input\"\)"),
         ({"a": "a.fmu"}, [("a.y", "a.u", "a.v")], "connection .* expected"),
     ],

@@ -1,0 +1,263 @@
+"""SSP by its text: nested systems, bindings at every level, mappings, units, signal dictionaries.
+
+Every package here is a small structure over one described FMU, with input u, output y and parameter k in m.
+"""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from fmus.files import write_archive
+from orchestration.exchange import ssp_read
+from orchestration.exchange.ssp_xml import STRUCTURE
+from orchestration.system.system import LinearTransformation
+from tests.described_fmus import described
+from tests.orchestration.exchange.conftest import refusal
+
+BASE = "http://ssp-standard.org/SSP1/SystemStructure"
+SPACES = " ".join(
+    f'xmlns:{prefix}="{BASE}{name}"'
+    for prefix, name in (
+        ("ssd", "Description"),
+        ("ssc", "Common"),
+        ("ssv", "ParameterValues"),
+        ("ssm", "ParameterMapping"),
+    )
+)
+UNITS = '<ssc:Unit name="m"><ssc:BaseUnit m="1"/></ssc:Unit>'
+UNITS += '<ssc:Unit name="cm"><ssc:BaseUnit m="1" factor="0.01"/></ssc:Unit>'
+
+
+def connectors(**kinds: str) -> str:
+    """Connectors by their names; "output cm" has a unit."""
+    own = ((name, *kind.split(), "") for name, kind in kinds.items())
+    texts = (
+        f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Real{unit and f" unit={unit!r}"}/></ssd:Connector>'
+        for name, kind, unit, *_ in own
+    )
+    return f"<ssd:Connectors>{''.join(texts)}</ssd:Connectors>"
+
+
+def component(name: str, inside: str = "", source: str = "f.fmu") -> str:
+    own = connectors(u="input", y="output", k="parameter")
+    return f'<ssd:Component name="{name}" source="{source}">{own}{inside}</ssd:Component>'
+
+
+def system(name: str, elements: str, connections: str = "", before: str = "") -> str:
+    inside = f"<ssd:Elements>{elements}</ssd:Elements><ssd:Connections>{connections}</ssd:Connections>"
+    return f'<ssd:System name="{name}">{before}{inside}</ssd:System>'
+
+
+def connection(start: str, end: str, attributes: str = "", inside: str = "") -> str:
+    """Between "element.connector"s; of the system itself where no dot is."""
+    ends = (
+        f'{side}Element="{name.rpartition(".")[0]}" {side}Connector="{name.rpartition(".")[2]}"'
+        for side, name in (("start", start), ("end", end))
+    )
+    return f"<ssd:Connection {' '.join(ends)} {attributes}>{inside}</ssd:Connection>"
+
+
+def bindings(*sets: str) -> str:
+    return f"<ssd:ParameterBindings>{''.join(sets)}</ssd:ParameterBindings>"
+
+
+def binding(name: str, value: str, prefix: str = "", mapping: str = "") -> str:
+    own = f'<ssv:Parameter name="{name}">{value if "<" in value else real(value)}</ssv:Parameter>'
+    values = f'<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{own}</ssv:Parameters>'
+    values = f"<ssd:ParameterValues>{values}</ssv:ParameterSet></ssd:ParameterValues>"
+    return f'<ssd:ParameterBinding prefix="{prefix}">{values}{mapping}</ssd:ParameterBinding>'
+
+
+def real(value: str, unit: str = "") -> str:
+    return f'<ssv:Real value="{value}"{unit and f" unit={unit!r}"}/>'
+
+
+def mapping(source: str, target: str, inside: str = "", attributes: str = "") -> str:
+    entry = f'<ssm:MappingEntry source="{source}" target="{target}" {attributes}>{inside}</ssm:MappingEntry>'
+    inside = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
+    return f"<ssd:ParameterMapping>{inside}</ssd:ParameterMapping>"
+
+
+def package(folder: Path, root: str, kind: str = "") -> Path:
+    """kind: type of FMI of the parameter k"""
+    units = {"u": "m", "y": "m"} | ({} if kind else {"k": "m"})
+    fmu = described(folder / "f.fmu", ["u"], ["y"], [f"k:{kind}" if kind else "k"], units)
+    text = f'<ssd:SystemStructureDescription {SPACES} name="s" version="1.0">{root}<ssd:Units>{UNITS}'
+    text += '</ssd:Units><ssd:DefaultExperiment startTime="1" stopTime="2"/></ssd:SystemStructureDescription>'
+    return write_archive(folder / "p.ssp", {"f.fmu": fmu.read_bytes(), STRUCTURE: text.encode()})
+
+
+NESTED = system(
+    "inner",
+    component("b"),
+    connection("in", "b.u") + connection("b.y", "out") + connection("gain", "b.k"),
+    connectors(**{"in": "input", "out": "output", "gain": "parameter"}),
+)
+
+
+def test_systems_in_systems_become_components_of_one_level(tmp_path: Path) -> None:
+    wires = connection("a.y", "inner.in") + connection("c.u", "inner.out")
+    root = system("root", component("a") + NESTED + component("c"), wires)
+    with ssp_read.opened(package(tmp_path, root)) as loop:
+        assert list(loop.system.components) == ["a", "inner.b", "c"]
+        assert set(loop.system.connections) == {("a.y", "inner.b.u"), ("inner.b.y", "c.u")}
+        assert loop.experiment.record == ("a.y", "inner.b.y", "c.y")
+        # the names have dots: checked as those of any system
+        assert {port.component for pair in loop.prepared.system.connections for port in pair} == {
+            "a",
+            "inner.b",
+            "c",
+        }
+        assert (loop.experiment.start_time, loop.experiment.stop_time) == (1.0, 2.0)
+        assert loop.experiment.step_size == 0.001  # a thousandth of the run
+
+
+def test_a_value_of_a_connector_of_a_system_is_that_of_what_it_leads_to(tmp_path: Path) -> None:
+    given = bindings(binding("inner.gain", "7"), binding("inner.in", "-3"))
+    with ssp_read.opened(package(tmp_path, system("root", NESTED, "", given))) as loop:
+        assert loop.experiment.parameters == {"inner.b.k": 7.0}
+        assert loop.experiment.inputs == {"inner.b.u": -3.0}
+
+
+@pytest.mark.parametrize(
+    ("of_component", "of_inner", "of_root", "expected"),
+    [
+        (["k=1", "k=2"], [], [], 2.0),
+        (["k=1"], ["b.k=2"], [], 2.0),
+        (["k=1"], ["b.k=2"], ["inner.b.k=3"], 3.0),
+        (["k=1"], [], ["inner.b.k=4", "inner.b.k=3"], 3.0),
+        (["k=1"], ["b./k=5"], [], 5.0),
+        (["k=1"], ["b.k=2"], ["inner./b.k=6"], 6.0),
+    ],
+)
+def test_a_higher_level_goes_over_a_lower_one_and_the_last_set_over_the_first(
+    tmp_path: Path, of_component: list[str], of_inner: list[str], of_root: list[str], expected: float
+) -> None:
+    """PREFIX/NAME=VALUE: the prefix of a binding stands before the names of its set."""
+
+    def bound(texts: list[str]) -> str:
+        parts = [(text.rpartition("/"), text.partition("=")[2]) for text in texts]
+        return bindings(*(binding(n.partition("=")[0], value, prefix) for (prefix, _, n), value in parts))
+
+    inner = system("inner", component("b", bound(of_component)), "", bound(of_inner))
+    with ssp_read.opened(package(tmp_path, system("root", inner, "", bound(of_root)))) as loop:
+        assert loop.experiment.parameters == {"inner.b.k": expected}
+
+
+LINEAR = '<ssc:LinearTransformation factor="4" offset="5"/>'
+
+
+@pytest.mark.parametrize(
+    ("value", "prefix", "mapped", "expected"),
+    [
+        (real("2"), "", mapping("p", "a.k"), {"a.k": 2.0}),
+        (real("2"), "", mapping("p", "a.k", LINEAR), {"a.k": 13.0}),
+        (real("2"), "x.", mapping("x.p", "a.k", LINEAR), {"a.k": 13.0}),
+        (real("200", "cm"), "", mapping("p", "a.k", LINEAR), {"a.k": 13.0}),
+        (real("2", "cm"), "", mapping("p", "a.k", LINEAR, 'suppressUnitConversion="true"'), {"a.k": 13.0}),
+        (real("80", "cm"), "", mapping("p", "a.k"), {"a.k": 0.8}),
+        (real("80", "[cm]"), "", mapping("p", "a.k"), {"a.k": 0.8}),
+        (real("2"), "", mapping("q", "a.k"), {}),
+    ],
+)
+def test_a_mapping_renames_converts_and_then_transforms(
+    tmp_path: Path, value: str, prefix: str, mapped: str, expected: dict[str, float]
+) -> None:
+    """What it does not map is not applied."""
+    root = system("root", component("a"), "", bindings(binding("p", value, prefix, mapped)))
+    with ssp_read.opened(package(tmp_path, root)) as loop:
+        assert loop.experiment.parameters == expected
+
+
+@pytest.mark.parametrize(("given", "expected"), [("3", 30), ("4", 4)])
+def test_a_table_of_a_mapping_replaces_the_values_in_it(tmp_path: Path, given: str, expected: int) -> None:
+    item = '<ssc:MapEntry source="3" target="30"/>'
+    table = f"<ssc:IntegerMappingTransformation>{item}</ssc:IntegerMappingTransformation>"
+    own = binding("p", f'<ssv:Integer value="{given}"/>', "", mapping("p", "a.k", table))
+    root = system("root", component("a"), "", bindings(own))
+    with ssp_read.opened(package(tmp_path, root, "Integer")) as loop:
+        assert loop.experiment.parameters == {"a.k": expected}
+
+
+@pytest.mark.parametrize(
+    ("attributes", "inside", "expected"),
+    [
+        ("", "", []),
+        ("", LINEAR, [LinearTransformation(4.0, 0.05)]),
+        ('suppressUnitConversion="true"', LINEAR, [LinearTransformation(0.04, 0.05)]),
+        ('suppressUnitConversion="true"', "", [LinearTransformation(0.01)]),
+    ],
+)
+def test_units_of_connectors_are_converted_before_a_transformation(
+    tmp_path: Path, attributes: str, inside: str, expected: list[LinearTransformation]
+) -> None:
+    """m to cm by the outer connection, unless it is suppressed, and cm to m by the inner one."""
+    inner = system("d", component("b"), connection("in", "b.u"), connectors(**{"in": "input cm"}))
+    root = system("root", component("a") + inner, connection("a.y", "d.in", attributes, inside))
+    with ssp_read.opened(package(tmp_path, root)) as loop:
+        ((*names, change),) = [(one, other, given) for one, other, *given in loop.system.connections]
+    assert (names, change) == (["a.y", "d.b.u"], expected)
+
+
+def test_a_signal_dictionary_renames(tmp_path: Path) -> None:
+    reference = '<ssd:SignalDictionaryReference name="{}" dictionary="bus">{}</ssd:SignalDictionaryReference>'
+    one, other = reference.format("bus", connectors(s="inout")), reference.format("b2", connectors(s="inout"))
+    inner = system("inner", component("b") + other, connection("b2.s", "b.u"))
+    root = system("root", component("a") + one + inner, connection("a.y", "bus.s"))
+    with ssp_read.opened(package(tmp_path, root)) as loop:
+        assert loop.system.connections == (("a.y", "inner.b.u"),)
+
+
+def test_a_component_that_is_no_fmu_is_refused_by_its_name(tmp_path: Path) -> None:
+    root = system("root", system("inner", component("table", source=STRUCTURE)))
+    assert "component inner.table: source SystemStructure.ssd: expected an FMU" in refusal(
+        package(tmp_path, root)
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_nested_systems_connect_as_the_flat_ones(tmp_path: Path, seed: int) -> None:
+    """Each path from an output to an input leads up and down through connectors, in either order of ends."""
+    rng = random.Random(seed)
+    places = [[f"s{rng.randrange(3)}" for _ in range(rng.randrange(3))] for _ in range(5)]
+    names = [[*place, f"c{i}"] for i, place in enumerate(places)]
+    wires: dict[tuple[str, ...], list[str]] = {}
+    inner: dict[tuple[str, ...], dict[str, str]] = {}
+    expected = set[tuple[str, str]]()
+
+    def wire(at: tuple[str, ...], start: str, end: str) -> None:
+        ends = (start, end) if rng.random() < 0.5 else (end, start)
+        wires.setdefault(at, []).append(connection(*ends))
+
+    for number, target in enumerate(names):
+        source = names[rng.randrange(5)]
+        depth = (
+            next(i for i, (a, b) in enumerate(zip([*source, ""], [*target, "-"], strict=False)) if a != b)
+            if source != target
+            else len(source) - 1
+        )
+        expected.add((f"{'.'.join(source)}.y", f"{'.'.join(target)}.u"))
+        out, into = f"{source[-1]}.y", f"{target[-1]}.u"
+        for level in range(len(source) - 1, depth, -1):
+            inner.setdefault(tuple(source[:level]), {})[f"o{number}"] = "output"
+            wire(tuple(source[:level]), out, f"o{number}")
+            out = f"{source[level - 1]}.o{number}"
+        for level in range(len(target) - 1, depth, -1):
+            inner.setdefault(tuple(target[:level]), {})[f"i{number}"] = "input"
+            wire(tuple(target[:level]), f"i{number}", into)
+            into = f"{target[level - 1]}.i{number}"
+        wire(tuple(source[:depth]), out, into)
+
+    def text(at: tuple[str, ...]) -> str:
+        own = "".join(component(name[-1]) for name in names if tuple(name[:-1]) == at)
+        below = sorted(
+            {tuple(n[: len(at) + 1]) for n in names if tuple(n[: len(at)]) == at and len(n) > len(at) + 1}
+        )
+        own += "".join(text(one) for one in below)
+        return system(
+            at[-1] if at else "root", own, "".join(wires.get(at, [])), connectors(**inner.get(at, {}))
+        )
+
+    with ssp_read.opened(package(tmp_path, text(()))) as loop:
+        assert set(loop.system.connections) == expected
