@@ -110,8 +110,11 @@ def run(
 
 
 def _figures(title: str, recording: "Recording", path: Path, formats: Sequence[FigureFormat]) -> list[Path]:
-    """Writes the figure of a run, or prints which extra it needs."""
+    """Writes the figure of a run, or prints which extra it needs, or that there is no number to draw."""
     if not formats:
+        return []
+    if not recording.numbers:
+        print("l1-depth: no figure: no number is recorded", file=sys.stderr)
         return []
     try:
         from orchestration.results.figures import run_figure  # Matplotlib takes longer to import than a run

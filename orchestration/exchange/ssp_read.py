@@ -60,6 +60,8 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         raise package.error(f"{STRUCTURE}: expected a System")
     structure = Structure.of(root, package)
     components = structure.components
+    if not components:
+        raise package.error(f"{STRUCTURE}: no component: expected at least one FMU")
     descriptions = {name: describe(path) for name, path in components.items()}
     ports = {f"{name}.{v.name}": Port(name, v) for name, d in descriptions.items() for v in d.modelVariables}
     structure.check_units(ports)

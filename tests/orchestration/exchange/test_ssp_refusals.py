@@ -78,6 +78,18 @@ def test_what_is_not_understood_is_refused(
     assert message in refusal(edited(STRUCTURE, old, new))
 
 
+def test_a_package_without_a_component_is_refused(tmp_path: Path) -> None:
+    name = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+    kind, system = "SystemStructureDescription", '<System name="root"/>'
+    structure = f'<{kind} xmlns="{name}" version="1.0">{system}</{kind}>'
+    empty = write_archive(tmp_path / "empty.ssp", {STRUCTURE: structure.encode()})
+    with (
+        pytest.raises(ScenarioError, match="no component: expected at least one FMU"),
+        ssp_read.opened(empty),
+    ):
+        pass
+
+
 def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str, str, str], Path]) -> None:
     path = edited(STRUCTURE, 'name="proportional_gain"', 'name="proportional_gian"')
     with (
