@@ -2,10 +2,10 @@
 
 The linear loop of the blocks' code contains the integral of the PI. The rest of u_p adds to each step
 
-    x' = A x - b q,   v = c x,   0 <= q v <= k v^2,   q = -u_p,   v = e
+    x' = A x - b q,   v = c x,   q (q - k v) <= 0,   v = e
 
-and, with a drag D_q |w| w up to a speed w_max, a second such term with its gain 2 D_q w_max. A period is
-x' = A x - B q and v = C x + D q, with all q and v of its steps. If a matrix P > 0 satisfies
+and, with a drag D_q |w| w in still water up to a speed w_max, a second such term, of the slope 2 D_q w_max.
+A period is x' = A x - B q and v = C x + D q, with all q and v of its steps. If a matrix P > 0 satisfies
 
     x'^T P x' - x^T P x < 2 q^T T (q - K v)   for all x and q but 0,
 
@@ -33,6 +33,8 @@ FASTEST = 0.2  # m/s; the drag is in its sector up to this speed
 _DECREASE = 1e-6  # of V, relative to the squares of the scaled states
 _SMALL = 1e-3  # m/s; D_q times it changes the linear damping, for its derivative
 _WEIGHTS = np.geomspace(0.1, 1e4, 51)  # multipliers of the drag; u_p has 1
+# relative: at the end of a hold the state is at rest but for about a millionth
+_UNMOVED = 1e-5
 _LARGEST, _RESOLUTION = 1e4, 1e-3  # of k, relative to the gain of the depth or of the first state
 CERTIFICATE = "certificate"
 _SOURCE = "circle criterion, docs/explanation/theory.md"
@@ -75,12 +77,18 @@ def period(steps: Sequence[Step], channels: Sequence[Channel]) -> Period:
 
 
 def _moved(whole: Period) -> Period:
-    """Returns a period without a direction that nothing moves: estimates whose sum alone has an effect."""
-    found: Any = np.linalg.eig(whole.a.T)
-    i = int(np.abs(found.eigenvalues).argmax())
-    if abs(found.eigenvalues[i]) < 1.0 - 1e-9:
+    """Returns a period without a direction that nothing moves and no v sees: estimates whose sum alone has
+    an effect have one, with the eigenvalue 1.
+    """
+    right, left = (np.linalg.svd(matrix - np.eye(len(matrix)))[2][-1] for matrix in (whole.a, whole.a.T))
+    residues = (
+        (whole.a - np.eye(len(whole.a))) @ right / np.linalg.norm(whole.a),
+        left @ whole.b / np.linalg.norm(whole.b),
+        whole.c @ right / np.linalg.norm(whole.c),
+    )
+    if max(float(np.abs(residue).max()) for residue in residues) > _UNMOVED:
         return whole
-    basis = np.linalg.svd(found.eigenvectors[:, i].real[np.newaxis])[2][1:].T
+    basis = np.linalg.svd(left[np.newaxis])[2][1:].T
     return Period(basis.T @ whole.a @ basis, basis.T @ whole.b, whole.c @ basis, whole.d)
 
 
@@ -113,7 +121,7 @@ def excess(whole: Period, gains: Any, weights: Any, p: Any) -> Any:
 
 
 def is_proved(whole: Period, gains: np.ndarray, weights: np.ndarray, p: np.ndarray) -> bool:
-    """Whether P > 0 and the inequality hold, by rational numbers, for these matrices."""
+    """Whether P > 0 and the inequality hold, in rational numbers, for these matrices of doubles."""
     exact = np.vectorize(Fraction, otypes=[object])
     *matrices, gains, weights, p = (exact(x) for x in (*whole, gains, weights, p))
     return _is_positive(p) and _is_positive(-excess(Period(*matrices), gains, weights, p))

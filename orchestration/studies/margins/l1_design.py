@@ -217,10 +217,9 @@ def _small_error_gain(values: Values, delta: float) -> float:
 
 
 def _frozen_gains(values: Values, largest_reference: float) -> tuple[float, ...]:
-    """Returns -u_p / e of the nonlinear P: above and below the largest delta, and at the smallest delta."""
+    """Returns -u_p / e of the nonlinear P just above and below the largest delta and the smallest one."""
     if values["augmentation"] != "nonlinear_p":
         return ()
     widest, narrowest = _threshold(values, largest_reference), _threshold(values, 0.0)
-    above = values["large_error_gain"] * widest ** (values["nonlinear_exponent"] - 1.0)
-    gains = {above, _small_error_gain(values, widest), _small_error_gain(values, narrowest)}
-    return tuple(sorted(gains))
+    names, power = ("large_error_gain", "small_error_gain"), 1.0 - values["nonlinear_exponent"]
+    return tuple(sorted({values[name] / delta**power for name in names for delta in (widest, narrowest)}))

@@ -97,7 +97,7 @@ def judge(
             made = design and _loop_of_code(chosen, runs, without_p(design))
             not_judged += [] if made else [NO_CERTIFICATE]
             if design and runs and made:
-                holds = partial(_holds, runs, design.controller) if measured else None
+                holds = partial(_holds, runs, design) if measured else None
                 metrics += certificate_metrics(made, design, holds)
         if runs and measured:
             metrics += run_metrics(runs, progress)
@@ -124,10 +124,9 @@ def _loop_of_code(
     return code_loop(chosen, runs.hold.end, cut, instead)
 
 
-def _holds(runs: HoldRuns, controller: str, gain: float) -> bool:
-    """Whether runs with a linear P of this gain hold quietly."""
-    values = {f"{controller}.augmentation": "pi", f"{controller}.proportional_gain": gain}
-    return runs.is_quiet(parameters=values)
+def _holds(runs: HoldRuns, design: Design, gain: float) -> bool:
+    """Whether runs with a linear P of this gain, beside the integral of the PI, hold quietly."""
+    return runs.is_quiet(parameters=without_p(design) | {f"{design.controller}.proportional_gain": gain})
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:

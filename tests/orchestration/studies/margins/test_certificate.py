@@ -107,6 +107,20 @@ def test_rational_numbers_refuse_a_wrong_proof(loop: CodeLoop) -> None:
     assert lyapunov_of(whole, 75.0 * ones, ones) is None
 
 
+def test_a_direction_is_left_out_only_if_nothing_moves_it_and_no_error_sees_it() -> None:
+    """An unstable state stays in the period, and is not proved; so does an integrator that q moves."""
+    ones = np.array([1.0, 1.0])
+    for first in (1.5, 1.0):
+        step = Step(np.diag([first, 0.5]), np.zeros((2, 0)), np.zeros((0, 2)))
+        channel = Channel([ones], [ones])
+        assert len(period([step], [channel]).a) == 2
+        assert largest_sector([step], channel) == 0.0
+    apart = Channel([np.array([0.0, 1.0])], [np.array([0.0, 1.0])])
+    step = Step(np.diag([1.0, 0.5]), np.zeros((2, 0)), np.zeros((0, 2)))
+    assert len(period([step], [apart]).a) == 1
+    assert largest_sector([step], apart) == pytest.approx(1.5, rel=2e-3)  # x' = 0.5 x - q: 0.5 - k > -1
+
+
 def certificate(**parameters: Any) -> dict[str, Any]:
     named = {f"controller.{name}": value for name, value in parameters.items()}
     loaded = scenario.load(scenario.find("nominal-extended"), settings=named)
@@ -126,6 +140,8 @@ def test_a_nonlinear_p_is_inside_at_its_default_and_not_proved_at_its_least_thre
     assert fixed.remark == "the scenario has 7.943, inside"
     floor = certificate(**nonlinear, threshold="proportional_to_reference")["sector of u_p that is proved"]
     assert floor.remark == "the scenario has 63.1, not proved"
+    large = nonlinear | {"threshold": "proportional_to_reference", "large_error_gain": 2.0}
+    assert certificate(**large)["sector of u_p that is proved"].remark == "the scenario has 126.2, not proved"
 
 
 def test_a_loop_without_a_certificate_is_told_so(built: Fmus) -> None:
