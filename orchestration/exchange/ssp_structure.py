@@ -16,8 +16,8 @@ from orchestration.exchange.ssp_xml import tag
 from orchestration.system.quantities import Units, are_equal, conversion
 from orchestration.system.system import LinearTransformation, Port
 
-# SSP 2.0, 5.3.5.2 (Allowed Connections): kinds of connectors of elements that a connection leads out of;
-# a connection leads into those of the enclosing system
+# SSP 2.0, 5.3.5.2 (Allowed Connections): a connection starts at these kinds of connectors of elements;
+# of the enclosing system it ends at them
 _OUT_OF = ("output", "local", "constant", "calculatedParameter")
 _INTO = ("input", "parameter", "structuralParameter")
 
