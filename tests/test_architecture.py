@@ -103,6 +103,7 @@ LEVELS = {
     "orchestration.cli": 11,
     "orchestration.gym": 12,
     "orchestration.places": 12,
+    "orchestration.diff": 12,
     "orchestration.report": 12,
     "orchestration.studies.vehicle": 12,
     "orchestration.studies.margins": 13,

@@ -16,7 +16,7 @@ from orchestration.cli.commands import command_function, command_names, run_comm
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
 SATELLITES = ("fmus.compliance", "orchestration.studies", "orchestration.report", "orchestration.gym")
-SATELLITES += ("orchestration.places", "fmus.prove")
+SATELLITES += ("orchestration.places", "orchestration.diff", "fmus.prove")
 POINTS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["entry-points"]
 
 

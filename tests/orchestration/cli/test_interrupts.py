@@ -30,6 +30,7 @@ AT_WORK = {
     "build ExamplePlant --out out": "fmus.generate.builder.build_orders",
     "check {fmu}": "fmus.compliance.examine.examine",
     "prove ExamplePlant": "fmus.prove.eva.proof",
+    "diff {fmu} {fmu}": "orchestration.diff.command._changes",
     "verify {fmu}": "fmus.fmi.description.describe",
     "inspect my.fmu": "fmus.fmi.description.describe",
     "cache": "fmus.store.entries",

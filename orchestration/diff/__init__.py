@@ -1,0 +1,1 @@
+"""Two FMUs compared: `l1-depth diff`."""

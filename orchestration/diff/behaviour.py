@@ -1,0 +1,124 @@
+"""Differences of two runs with the same inputs, in separate processes."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from fmus.errors import OrchestrationError
+from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.model_description import ScalarVariable
+from orchestration.cli.chosen_scenario import build_missing_fmus
+from orchestration.diff.change import Change, Level
+from orchestration.results.recording import Recording
+from orchestration.run import simulate
+from orchestration.scenarios import scenario
+from orchestration.system.experiment import Experiment
+from orchestration.system.signals import Sines
+from orchestration.system.system import System
+
+_FMU = "fmu"  # name of the component that runs alone
+# Of the largest value: another order of additions, a hundred thousand steps long, stays below.
+_ROUNDING = 1e-9
+_TIMES = {"startTime": 0.0, "stopTime": 1.0}
+_STEPS = 500  # where the FMU suggests no step size
+
+
+def behaviour_changes(
+    old: Path, new: Path, timeout: float, name: str = "", component: str = ""
+) -> list[Change]:
+    """Returns how the results differ: where first, and by how much at most.
+
+    timeout: longest time of a call of an FMU [s]
+    name, component: of a scenario and of the component in it that each FMU replaces; alone by default
+    """
+    runs = _in_scenario(name, component, (old, new)) if name else _alone(old, new)
+    results = [_result(system, experiment, timeout) for system, experiment in runs]
+    one, other = results
+    if isinstance(one, Recording) and isinstance(other, Recording):
+        return _of_recordings(one, other)
+    texts = ["a whole run" if isinstance(result, Recording) else str(result) for result in results]
+    if not any(isinstance(result, Recording) for result in results):
+        return [Change(Level.PATCH, "behaviour", f"not compared, as neither runs: {texts[0]}")]
+    level = Level.MAJOR if isinstance(one, Recording) else Level.MINOR
+    return [Change(level, "behaviour", f"{texts[0]} -> {texts[1]}")]
+
+
+def _result(system: System, experiment: Experiment, timeout: float) -> Recording | OrchestrationError:
+    try:
+        return simulate(system, experiment, timeout=timeout)
+    except OrchestrationError as error:
+        return error
+
+
+def _in_scenario(name: str, component: str, fmus: Iterable[Path]) -> list[tuple[System, Experiment]]:
+    chosen = [scenario.load(scenario.find(name), settings={component: str(fmu.absolute())}) for fmu in fmus]
+    build_missing_fmus(chosen)
+    return [(each.system, each.experiment) for each in chosen]
+
+
+def _alone(old: Path, new: Path) -> Iterator[tuple[System, Experiment]]:
+    """Yields runs of both FMUs with the same signals at the Real inputs of both; others keep their starts."""
+    one, other = describe(old), describe(new)
+    names = [{v.name: v for v in d.modelVariables} for d in (one, other)]
+    default = one.defaultExperiment
+    given = {name: getattr(default, name, None) for name in (*_TIMES, "stepSize")}
+    start, stop = (float(given[name] or usual) for name, usual in _TIMES.items())
+    stop = stop if stop > start else start + 1.0
+    step = float(given["stepSize"] or (stop - start) / _STEPS)
+    real = [v for v in of_causality(one, "input") if v.type == "Real" and _is_shared(v, names[1])]
+    signals = {f"{_FMU}.{v.name}": _signal(v, number, stop - start) for number, v in enumerate(real)}
+    outputs = [v.name for v in of_causality(one, "output") if _is_shared(v, names[1])]
+    for fmu in (old, new):
+        yield (
+            System({_FMU: fmu}),
+            Experiment(
+                stop,
+                step,
+                start_time=start,
+                signals=signals,
+                record=tuple(f"{_FMU}.{output}" for output in outputs),
+                open_inputs="start",
+            ),
+        )
+
+
+def _is_shared(variable: ScalarVariable, others: dict[str, ScalarVariable]) -> bool:
+    """Whether the other FMU has the variable too, as it is here."""
+    other = others.get(variable.name)
+    return other is not None and (other.type, other.causality) == (variable.type, variable.causality)
+
+
+def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:
+    """Returns two sines about the start value, inside the declared range, of frequencies by the number."""
+    start = float(start_value(variable))
+    low, high = (float(end) if end else None for end in (variable.min, variable.max))
+    room = [abs(end - start) for end in (low, high) if end is not None]
+    size = min([0.4 * min(room, default=2.5), float(variable.nominal or 1.0)])
+    # no two are multiples of each other: a swap of two inputs shows
+    rates = 2.0 * np.pi * np.array([1.0, 2.0**0.5 * 3.0]) * (1.0 + 0.618 * number) / duration
+    return Sines([size, 0.5 * size], rates, [0.0, 1.0], start)
+
+
+def _of_recordings(one: Recording, other: Recording) -> list[Change]:
+    first, largest = None, (0.0, "")
+    for name in (name for name in one.names if name in other.names):
+        a, b = (np.asarray(own[name], float) for own in (one, other))
+        rows = min(a.size, b.size)
+        a, b = a[:rows], b[:rows]
+        differs = np.flatnonzero((a != b) & ~(np.isnan(a) & np.isnan(b)))
+        if not differs.size:
+            continue
+        if first is None or differs[0] < first[0]:
+            first = int(differs[0]), name
+        scale = np.nanmax(np.abs(np.concatenate([a, b]))) or 1.0
+        gap = np.abs(a - b)[differs]
+        size, row = float(np.max(gap)), int(differs[np.argmax(gap)])
+        if not size / scale <= largest[0]:
+            text = f"{size:.3g} of {name} at t = {one.time[row]:.6g} s, whose largest value is {scale:.3g}"
+            largest = size / scale, text
+    if first is None:
+        return []
+    level = Level.PATCH if largest[0] <= _ROUNDING else Level.MINOR
+    where = f"differs first at t = {one.time[first[0]]:.6g} s in {first[1]}; at most by {largest[1]}"
+    return [Change(level, "behaviour", where)]

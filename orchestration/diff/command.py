@@ -1,0 +1,73 @@
+"""The command diff: the effects on an importer when one FMU replaces another."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from orchestration.cli import shared
+from orchestration.diff.change import Change, Level, verdict
+
+PANEL = "FMUs"
+_NOTES = {Level.MAJOR: "error", Level.MINOR: "warning", Level.PATCH: "notice"}
+_File = typer.Argument(exists=True, dir_okay=False, metavar="FMU", show_default=False)
+
+
+def diff(
+    old: Annotated[Path, _File],
+    new: Annotated[Path, _File],
+    name: Annotated[
+        str, typer.Option("--scenario", help="Run both in this scenario, not alone at sines.")
+    ] = "",
+    component: Annotated[
+        str, typer.Option(help="Component of the scenario that the FMUs replace.")
+    ] = "controller",
+    format_name: Annotated[
+        Literal["text", "json", "github"],
+        typer.Option("--format", help="Format of what is printed; github: annotations."),
+    ] = "text",
+    fail_on: Annotated[
+        Level, typer.Option(help="Fail for differences of this level and above.")
+    ] = Level.PATCH,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a call of an FMU [s].")] = 30.0,
+) -> None:
+    """Compare two FMUs of any origin: interface, results at the same inputs, libraries and sources.
+
+    The verdict is major if a model with the old FMU breaks, minor if it gives other results or there is more
+    to use, else patch. Exit status: 0; 1 for differences; 2 for wrong use.
+    """
+    from fmus.errors import FmuLoadError
+
+    try:
+        changes = _changes(old, new, timeout, name, component)
+    except FmuLoadError as error:
+        shared.fail(str(error), 2)
+    level = verdict(changes)
+    if format_name == "json":
+        import json
+
+        found = [change._asdict() for change in changes]
+        print(json.dumps({"old": str(old), "new": str(new), "verdict": level, "changes": found}, indent=2))
+    else:
+        for change in changes:
+            print(_line(change, new) if format_name == "github" else "  ".join(change))
+        print(f"{old} -> {new}: {level or 'equal'}")
+    if level and level.reaches(fail_on):
+        raise typer.Exit(1)
+
+
+def _changes(old: Path, new: Path, timeout: float, name: str, component: str) -> list[Change]:
+    """Returns all differences, the highest level first."""
+    from orchestration.diff.behaviour import behaviour_changes
+    from orchestration.diff.interface import file_changes, interface_changes
+
+    if old.read_bytes() == new.read_bytes():
+        return []
+    found = interface_changes(old, new) + behaviour_changes(old, new, timeout, name, component)
+    return sorted(found + file_changes(old, new), key=lambda change: list(Level).index(change.level))
+
+
+def _line(change: Change, new: Path) -> str:
+    """Returns an annotation of GitHub, in which %, and ends of lines, are escaped."""
+    text = change.text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return f"::{_NOTES[change.level]} file={new},title={change.level} {change.part}::{text}"

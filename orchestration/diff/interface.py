@@ -1,0 +1,134 @@
+"""Differences of two model descriptions, FMI 2.0 or 3.0, and of the files of two FMUs."""
+
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from fmus.fmi.description import describe, start_value
+from fmus.fmi.model_description import ModelDescription, ScalarVariable
+from orchestration.diff.change import Change, Level
+from orchestration.system.quantities import are_equal
+
+_CONNECTED = ("input", "output", "parameter", "structuralParameter")
+# attribute of a variable -> level of another value
+_ATTRIBUTES = {
+    "type": Level.MAJOR,
+    "causality": Level.MAJOR,
+    "variability": Level.MINOR,
+    "min": Level.MINOR,
+    "max": Level.MINOR,
+    "nominal": Level.PATCH,
+    "description": Level.PATCH,
+}
+_LIMITING = (
+    "needsExecutionTool",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "canNotUseMemoryManagementFunctions",
+)
+# identifiers differ in every build, and no importer's model holds them
+_IDENTIFIERS = ("modelIdentifier",)
+
+
+def interface_changes(old: Path, new: Path) -> list[Change]:
+    """Returns the differences of the interfaces; FmuLoadError for a file that is no FMU."""
+    one, other = describe(old), describe(new)
+    found = [*_of_variables(one, other), *_of_dependencies(one, other), *_of_capabilities(one, other)]
+    return [Change(level, "interface", text) for level, text in found]
+
+
+def _of_variables(one: ModelDescription, other: ModelDescription) -> Iterator[tuple[Level, str]]:
+    before, after = ({v.name: v for v in d.modelVariables} for d in (one, other))
+    for name, variable in before.items():
+        if name not in after:
+            level = Level.MAJOR if variable.causality in _CONNECTED else Level.MINOR
+            yield level, f"{variable.causality} {name} is gone"
+        else:
+            yield from _of_variable(variable, after[name])
+    for name in after.keys() - before.keys():
+        level = Level.MINOR if after[name].causality in _CONNECTED else Level.PATCH
+        yield level, f"{after[name].causality} {name} is new"
+
+
+def _of_variable(one: ScalarVariable, other: ScalarVariable) -> Iterator[tuple[Level, str]]:
+    for attribute, level in _ATTRIBUTES.items():
+        a, b = getattr(one, attribute), getattr(other, attribute)
+        if a != b and not _are_one_number(a, b):
+            yield level, f"{one.name}: {attribute} {a} -> {b}"
+    is_equal = are_equal(one.unit, other.unit, other.units, one.units)
+    if (one.unit or "") != (other.unit or "") or not is_equal:
+        yield Level.MAJOR, f"{one.name}: unit {one.unit} -> {other.unit}"
+    if one.type == other.type and start_value(one) != start_value(other):
+        yield Level.MINOR, f"{one.name}: start {one.start} -> {other.start}"
+
+
+def _are_one_number(a: str | None, b: str | None) -> bool:
+    try:
+        return float(a or "") == float(b or "")
+    except ValueError:
+        return False
+
+
+def _of_dependencies(one: ModelDescription, other: ModelDescription) -> Iterator[tuple[Level, str]]:
+    before, after = (
+        {
+            unknown.variable.name: None
+            if unknown.dependencies is None
+            else sorted(v.name for v in unknown.dependencies)
+            for unknown in d.outputs
+        }
+        for d in (one, other)
+    )
+    for name in before.keys() & after.keys():
+        if before[name] != after[name]:
+            a, b = ("any" if x is None else ", ".join(x) or "none" for x in (before[name], after[name]))
+            yield Level.MINOR, f"{name}: dependencies {a} -> {b}"
+
+
+def _of_capabilities(one: ModelDescription, other: ModelDescription) -> Iterator[tuple[Level, str]]:
+    if one.fmiVersion != other.fmiVersion:
+        yield Level.MAJOR, f"FMI {one.fmiVersion} -> {other.fmiVersion}"
+    if one.is_model_exchange != other.is_model_exchange:
+        kinds = ("model exchange" if d.is_model_exchange else "co-simulation" for d in (one, other))
+        yield Level.MAJOR, " -> ".join(kinds)
+    for name, a in vars(one.coSimulation).items():
+        b = getattr(other.coSimulation, name)
+        if a != b and name not in _IDENTIFIERS:
+            is_lost = b if name in _LIMITING else a
+            yield Level.MAJOR if is_lost else Level.MINOR, f"{name} {str(a).lower()} -> {str(b).lower()}"
+    for name in ("numberOfContinuousStates", "numberOfEventIndicators"):
+        a, b = getattr(one, name), getattr(other, name)
+        if a != b:
+            yield Level.PATCH, f"{name} {a} -> {b}"
+    times = [vars(d.defaultExperiment) if d.defaultExperiment else {} for d in (one, other)]
+    for name in ("startTime", "stopTime", "stepSize"):
+        a, b = (own.get(name) for own in times)
+        if a != b and not _are_one_number(a, b):
+            yield Level.MINOR, f"default experiment: {name} {a} -> {b}"
+
+
+def file_changes(old: Path, new: Path) -> list[Change]:
+    """Returns the differences of libraries, sources and other files: gone, new or with other content."""
+    before, after = (_checksums(path) for path in (old, new))
+    changes: list[Change] = []
+    for verb, names in (
+        ("gone", before.keys() - after.keys()),
+        ("new", after.keys() - before.keys()),
+        ("other content", {n for n in before.keys() & after.keys() if before[n] != after[n]}),
+    ):
+        for kind in sorted({name.partition("/")[0] for name in names}):
+            own = sorted(name for name in names if name.partition("/")[0] == kind)
+            level = Level.PATCH
+            if kind == "binaries" and verb != "other content":
+                level = Level.MAJOR if verb == "gone" else Level.MINOR
+            more = f" and {len(own) - 3} more" if len(own) > 3 else ""
+            changes.append(Change(level, "files", f"{verb}: {', '.join(own[:3])}{more}"))
+    return changes
+
+
+def _checksums(path: Path) -> dict[str, tuple[int, int]]:
+    """Returns the name of each file but the model description -> its checksum and size."""
+    with zipfile.ZipFile(path) as archive:
+        files = [file for file in archive.infolist() if not file.is_dir()]
+    return {
+        file.filename: (file.CRC, file.file_size) for file in files if file.filename != "modelDescription.xml"
+    }
