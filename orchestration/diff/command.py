@@ -10,12 +10,15 @@ from orchestration.diff.change import Change, Level, verdict
 
 PANEL = "FMUs"
 _NOTES = {Level.MAJOR: "error", Level.MINOR: "warning", Level.PATCH: "notice"}
-_FILE = {"exists": True, "dir_okay": False, "show_default": False}
 
 
 def diff(
-    old: Annotated[Path, typer.Argument(metavar="OLD.fmu", help="The FMU that is replaced.", **_FILE)],
-    new: Annotated[Path, typer.Argument(metavar="NEW.fmu", help="The FMU in its place.", **_FILE)],
+    old: Annotated[
+        Path, typer.Argument(metavar="OLD.fmu", help="The FMU that is replaced.", exists=True, dir_okay=False)
+    ],
+    new: Annotated[
+        Path, typer.Argument(metavar="NEW.fmu", help="The FMU in its place.", exists=True, dir_okay=False)
+    ],
     name: Annotated[
         str, typer.Option("--scenario", help="Run both in this scenario, not alone at sines.")
     ] = "",
