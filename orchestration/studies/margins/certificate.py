@@ -14,6 +14,7 @@ T the multipliers). P solves a Riccati equation. That it satisfies the inequalit
 numbers. Sources: Zames (1966); Megretski and Rantzer (1997); docs/explanation/theory.md.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -35,7 +36,8 @@ _SMALL = 1e-3  # m/s; D_q times it changes the linear damping, for its derivativ
 _WEIGHTS = np.geomspace(0.1, 1e4, 51)  # multipliers of the drag; u_p has 1
 # relative: at the end of a hold the state is at rest but for about a millionth
 _UNMOVED = 1e-5
-_LARGEST, _RESOLUTION = 1e4, 1e-3  # of k, relative to the gain of the depth or of the first state
+_FIRST, _LARGEST = 1e-3, 1e4  # the first k of a search, and one from which on none is tried
+_RESOLUTION = 1e-3  # relative, of the end of a search
 CERTIFICATE = "certificate"
 _SOURCE = "circle criterion, docs/explanation/theory.md"
 
@@ -153,17 +155,27 @@ def largest_sector(steps: Sequence[Step], channel: Channel, *others: tuple[Chann
         # a multiplier is worth its search only if it gives more than the best before
         candidate = found(best * (1.0 + _RESOLUTION) + 1e-9, weight)
         if candidate:
-            best = _largest(lambda k, weight=weight: found(k, weight) is not None, best)
+            best = min(_largest(lambda k, weight=weight: found(k, weight) is not None, best), _LARGEST)
             proof = found(best, weight)
     return best if proof and is_proved(whole, *proof) else 0.0
 
 
-def _largest(holds: Callable[[float], bool], least: float = 0.0) -> float:
-    """Returns up to which number a condition holds, if it holds at `least`."""
-    low, high = least, max(least, 1e-3)
-    while high < _LARGEST and holds(high):
+def limit(holds: Callable[[float], bool], known: float = 0.0) -> float:
+    """Returns up to which number a condition holds, from a known one or from 0 on; infinite if it holds up to
+    the largest that is tried, not a number if it holds at neither.
+    """
+    start = next((number for number in (known, 0.0) if holds(number)), None)
+    return math.nan if start is None else _largest(holds, start)
+
+
+def _largest(holds: Callable[[float], bool], least: float) -> float:
+    """Returns up to which number a condition holds that holds at `least`; infinite without an end."""
+    low, high = least, max(least, _FIRST)
+    while holds(high):
+        if high >= _LARGEST:
+            return math.inf
         low, high = high, 2.0 * high
-    while high - low > _RESOLUTION * high:
+    while high - low > _RESOLUTION * max(high, _FIRST):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)
     return low
@@ -209,6 +221,6 @@ def certificate_metrics(
     def is_stable(k: float) -> bool:
         return is_bounded([step.a - k * np.outer(b, c) for step, b, c in zip(before, *channel, strict=True)])
 
-    yield metric("K_P up to which the linear loop is stable", _largest(is_stable), source="eigenvalues")
+    yield metric("K_P up to which the linear loop is stable", limit(is_stable), source="eigenvalues")
     if runs_hold:
-        yield metric("K_P up to which runs are quiet", _largest(runs_hold, used), source="measured")
+        yield metric("K_P up to which runs are quiet", limit(runs_hold, used), source="measured")

@@ -9,6 +9,7 @@ steps after which every block samples again.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,8 +76,13 @@ class CodeLoop:
 
     def is_stable(self, delay: float = 0.0, gain: float = 1.0) -> bool:
         """Whether motions about the hold stay bounded, with late [s] and multiplied values of the inputs."""
+        return is_bounded([delayed(step, delay / self.step_size, gain) for step in self._own_steps])
+
+    @cached_property
+    def _own_steps(self) -> list[Step]:
+        """The steps with the values of the scenario: a search for a margin asks for them again and again."""
         (steps,) = self.steps({})
-        return is_bounded([delayed(step, delay / self.step_size, gain) for step in steps])
+        return steps
 
 
 def delayed(step: Step, delay: float, gain: float) -> np.ndarray:

@@ -11,6 +11,7 @@ from orchestration.studies.margins.certificate import (
     Period,
     is_proved,
     largest_sector,
+    limit,
     lyapunov_of,
     period,
 )
@@ -119,6 +120,15 @@ def test_a_direction_is_left_out_only_if_nothing_moves_it_and_no_error_sees_it()
     step = Step(np.diag([1.0, 0.5]), np.zeros((2, 0)), np.zeros((0, 2)))
     assert len(period([step], [apart]).a) == 1
     assert largest_sector([step], apart) == pytest.approx(1.5, rel=2e-3)  # x' = 0.5 x - q: 0.5 - k > -1
+
+
+def test_a_limit_that_is_not_there_is_no_number() -> None:
+    """It is found from 0 on where the gain of the scenario is beyond it."""
+    assert limit(lambda k: k < 5.0, 3.0) == pytest.approx(5.0, rel=1e-3)
+    assert limit(lambda k: k < 5.0, 7.0) == pytest.approx(5.0, rel=1e-3)
+    assert limit(lambda k: k == 0.0) == pytest.approx(0.0, abs=1e-6)
+    assert limit(lambda k: True) == np.inf
+    assert np.isnan(limit(lambda k: False))
 
 
 def certificate(**parameters: Any) -> dict[str, Any]:
