@@ -25,7 +25,6 @@ from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.system.signals import values_at
 from orchestration.system.time_grid import time_grid
-from orchestration.system.values import Value
 
 Connections = Sequence[tuple[str, str]]
 _PYTHON_TYPE = {"String": str, "Real": float, "Float64": float, "Float32": float}  # others are integers
@@ -41,11 +40,10 @@ class Variable:
         items = declared.declaredType.items if declared.type == "Enumeration" else ()
         self._items = {item.name: int(item.value) for item in items}
         self._convert = _PYTHON_TYPE.get(declared.type, int)
-        integer, size = ("Int64", (math.prod(declared.shape),)) if component.is_fmi_3 else ("Integer", ())
-        suffix = integer if declared.type == "Enumeration" else declared.type
-        self._get, self._set = (getattr(component.fmu, verb + suffix) for verb in ("get", "set"))
         # a further argument in FMI 3.0: an array has several values under one value reference
-        self._size = size
+        self._size = (math.prod(declared.shape),) if component.is_fmi_3 else ()
+        suffix = declared.type.replace("Enumeration", "Int64" if component.is_fmi_3 else "Integer")
+        self._get, self._set = (getattr(component.fmu, verb + suffix) for verb in ("get", "set"))
 
     def get(self) -> Any:
         """Returns the value."""
@@ -53,7 +51,7 @@ class Variable:
         # FMPy decodes Strings of FMI 3.0 but not of FMI 2.0
         return value.decode() if isinstance(value, bytes) else value
 
-    def set(self, value: Value) -> None:
+    def set(self, value: float | str) -> None:
         """Sets the value, of an Enumeration also by the name of an item."""
         values = self._get(self._references, *self._size) if self._is_array else [None]
         if (given := self._items.get(value, value)) != self._convert(given):
@@ -142,8 +140,7 @@ class Master:
     def initialise(self, signals: Mapping[str, float]) -> None:
         """Exchanges initial values until none changes."""
         # a chain of n connections needs n exchanges, and one more shows that nothing changes
-        most = len(self.connections) + 2
-        for _ in range(most):
+        for _ in range(len(self.connections) + 2):
             before = self.values.copy()
             self.for_each(self.read_outputs)
             self.exchange(signals)
@@ -178,7 +175,7 @@ def simulate(
     step_size: float,
     start_time: float = 0.0,
     algorithm: Literal["jacobi", "gauss-seidel"] = "jacobi",
-    start_values: Mapping[str, Value] = {},
+    start_values: Mapping[str, float | str] = {},
     signals: Mapping[str, Callable[[float], float]] = {},
     record: Sequence[str],
 ) -> Recording:
