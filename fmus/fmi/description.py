@@ -145,6 +145,14 @@ def start_value(variable: ScalarVariable) -> FmiValue:
     return float(text or 0) if variable.type == "Real" else int(text or 0)
 
 
+def has_start_value(variable: ScalarVariable) -> bool:
+    """Whether a variable that is no input can be set before the initialisation (FMI 2.0.5, 4.2.4)."""
+    never = ("input", "independent", "structuralParameter")
+    if variable.variability == "constant" or variable.causality in never:
+        return False
+    return variable.causality == "parameter" or variable.initial in ("exact", "approx")
+
+
 def _complete_variables(description: ModelDescription) -> None:
     """Gives each variable the unit definitions and the attributes of its SimpleType (FMI 2.0.5, 2.2.3)."""
     units = {

@@ -13,13 +13,13 @@ from fmus.errors import nearest
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.declarations import with_file_paths
 from orchestration.scenarios.interface import Describe, components_between
 from orchestration.scenarios.layers import (
     Data,
     Layer,
     components_and_names,
     components_of,
+    with_file_paths,
     with_parameter_files,
 )
 from orchestration.system.experiment import Experiment
@@ -66,8 +66,8 @@ def values_of_settings(settings: Mapping[str, FmiValue], layers: Sequence[Layer]
     layers: the last is the command's (`given_layers`)
     Raises ScenarioError for a setting that names no component, parameter or input.
     """
-    below, tables = components_of(layers[:-1]), Data()
     components = {**components_between(layers), **components_of(layers)}
+    below, tables = components_of(layers[:-1]), Data()
 
     def settable_of(component: str) -> dict[str, ScalarVariable]:
         variables = describe(components[component]).items()

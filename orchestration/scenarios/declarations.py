@@ -3,6 +3,7 @@
 A signal of kind `table` may name a CSV file. Its values stand in the resolved scenario, which is one file.
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from fmus.errors import FmuLoadError
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError, about
 from orchestration.scenarios.data_file import read_data_file
 from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import Table, checked
@@ -26,6 +27,33 @@ from orchestration.system.values import is_discrete, items, possible_values
 
 _SIGNAL_TABLE = TypeAdapter(Annotated[Table, SIGNAL])
 _FAULT_TABLE = TypeAdapter(Annotated[Table, FAULT])
+
+
+def with_faulted_constants(data: dict[str, Any]) -> dict[str, Any]:
+    """Returns the data with a constant signal in place of each constant number that a fault acts on."""
+    faulted = {fault["input"] for fault in data.get("faults", [])}
+    moved = {n: v for n, v in data["inputs"].items() if n in faulted and type(v) in (int, float)}
+    signals = {name: {"kind": "constant", "value": value} for name, value in moved.items()}
+    constants = {name: value for name, value in data["inputs"].items() if name not in moved}
+    return {**data, "inputs": constants, "signals": {**data["signals"], **signals}} if moved else data
+
+
+def signals_of(tables: Mapping[str, Any]) -> dict[str, Signal]:
+    """Returns the signals that the tables of their inputs declare."""
+    signals: dict[str, Signal] = {}
+    for name, declaration in tables.items():
+        with about(("signals", name, "file"), ("signals", name)):
+            signals[name] = signal(declaration, f'signals."{name}"')
+    return signals
+
+
+def faults_of(tables: Sequence[object]) -> tuple[Fault, ...]:
+    """Returns the faults that tables declare."""
+    made: list[Fault] = []
+    for i, declaration in enumerate(tables):
+        with about(("faults", i)):
+            made.append(fault(declaration, f"faults[{i}]"))
+    return tuple(made)
 
 
 def signal(declaration: object, where: str) -> Signal:
@@ -54,16 +82,6 @@ def fault(declaration: object, where: str) -> Fault:
         return Fault(target, faults.KINDS[kind](**arguments), **window)
     except SystemDefinitionError as error:
         raise ScenarioError(f"{where}: {error}") from error
-
-
-def with_file_paths(signals: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Returns the signals with the paths of files that are relative to a folder."""
-    return {
-        name: {**table, "file": str(folder / table["file"])}
-        if isinstance(table, dict) and table.get("file")
-        else table
-        for name, table in signals.items()
-    }
 
 
 def as_input_takes(
@@ -106,6 +124,16 @@ def as_input_takes(
         keys = ("signals", name)
         raise ScenarioError(f'signals."{name}": {error}', (*keys, "file"), keys) from error
     return table
+
+
+def check_overlap(signals: Mapping[str, Any], start: float, stop: float) -> None:
+    """Warns (ScenarioWarning) of tables whose times are all before the run, or all after it."""
+    spans = {name: signal["times"] for name, signal in signals.items() if len(signal.get("times", ())) > 1}
+    apart = [name for name, times in spans.items() if times[-1] < start or times[0] > stop]
+    if apart:
+        listing = ", ".join(f"{name} {spans[name][0]:g}..{spans[name][-1]:g} s" for name in apart)
+        message = f"tables that do not overlap the run, {start:g}..{stop:g} s, keep one value: {listing}"
+        warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def _check_values(port: Port, values: Sequence[object], places: Sequence[str]) -> None:

@@ -18,11 +18,10 @@ from functools import cached_property
 from typing import Any
 
 from fmus.errors import nearest
-from fmus.fmi.description import start_value
+from fmus.fmi.description import has_start_value, start_value
 from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.layers import Data, Layer, driven_inputs, names_in
-from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 

@@ -14,7 +14,6 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.declarations import with_file_paths
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import At, check_part, checked
 from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
@@ -146,6 +145,16 @@ def named_fmu(fmu: str, folder: Path, at: At, keys: KeyPath) -> str:
             f"{nearest(fmu, known)}"
         )
     return fmu
+
+
+def with_file_paths(signals: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Returns the signals with the paths of files that are relative to a folder."""
+    return {
+        name: {**table, "file": str(folder / table["file"])}
+        if isinstance(table, dict) and table.get("file")
+        else table
+        for name, table in signals.items()
+    }
 
 
 def components_of(layers: Sequence[Layer]) -> dict[str, str]:
@@ -294,15 +303,6 @@ def _without_other_drivers(below: Data, above: Data) -> Data:
         moved = driven["signals"] | driven["connections"]
         result["events"] = with_events(below["events"], lambda name, value: name not in moved)
     return result
-
-
-def with_faulted_constants(data: Data) -> Data:
-    """Returns the data with a constant signal in place of each constant number that a fault acts on."""
-    faulted = {fault["input"] for fault in data.get("faults", [])}
-    moved = {n: v for n, v in data["inputs"].items() if n in faulted and type(v) in (int, float)}
-    signals = {name: {"kind": "constant", "value": value} for name, value in moved.items()}
-    constants = {name: value for name, value in data["inputs"].items() if name not in moved}
-    return {**data, "inputs": constants, "signals": {**data["signals"], **signals}} if moved else data
 
 
 def with_events(events: list[Any], is_kept: Callable[[str, Any], bool]) -> list[Any]:

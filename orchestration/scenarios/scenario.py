@@ -3,7 +3,6 @@
 A file is laid over its base, and `overrides` over both (`layers`).
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,12 +14,17 @@ from fmus.errors import FmuLoadError
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError, about
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
 from orchestration.scenarios.changes import given_layers, other_fmu, values_of_settings
 from orchestration.scenarios.composition import compose, with_actuators
-from orchestration.scenarios.declarations import as_input_takes, fault, signal
-from orchestration.scenarios.file_format import ScenarioFile
+from orchestration.scenarios.declarations import (
+    as_input_takes,
+    check_overlap,
+    faults_of,
+    signals_of,
+    with_faulted_constants,
+)
 from orchestration.scenarios.file_tables import checked
 from orchestration.scenarios.fmu_files import files_of, made_file, variables_of
 from orchestration.scenarios.interface import Describe
@@ -33,14 +37,11 @@ from orchestration.scenarios.layers import (
     file_layers,
     find,
     shipped,
-    with_faulted_constants,
 )
 from orchestration.scenarios.toml_file import TomlFile, placed
 from orchestration.system.experiment import Event, Experiment
-from orchestration.system.faults import Fault
 from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
-from orchestration.system.signals import Signal
 from orchestration.system.system import Port, System
 from orchestration.system.values import fmi_value
 
@@ -126,18 +127,29 @@ def load(
         if not data["components"]:
             raise ScenarioError("components is missing")
         data, from_actuators = with_actuators(data, layers, composed)
-        data = with_faulted_constants(_converted(data, composed.interface.port))
+        data = _converted(data, composed.interface.port)
     for replacement in composed.replacements:
         replacement.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
     _check_parameters([f for x in layers for f in x.parameter_files], data, describe)
     file = checked(FILE, data, lambda keys: str(path))
+    times = file.experiment.given()
     with placed(files):
-        data["signals"] = {
-            n: as_input_takes(n, x, composed.interface.port) for n, x in data["signals"].items()
-        }
-        experiment = _experiment(file, data)
-        _check_overlap(data["signals"], experiment.start_time, experiment.stop_time)
+        data = with_faulted_constants(data)
+        port, given = composed.interface.port, data["signals"].items()
+        data["signals"] = {name: as_input_takes(name, x, port) for name, x in given}
+        check_overlap(data["signals"], times.get("start_time", 0.0), times["stop_time"])
+        signals, faults = signals_of(data["signals"]), faults_of(data.get("faults", []))
+        experiment = Experiment(
+            **times,
+            parameters=data["parameters"],
+            inputs=data["inputs"],
+            signals=with_derivatives(signals, data["inputs"], data.get("connections", [])),
+            events=tuple(Event(event.time, event.set) for event in file.events),
+            record=tuple(file.record),
+            step_sizes=file.step_sizes,
+            faults=faults,
+        )
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)
     if dotted := [name for name in data["components"] if "." in name]:
         raise SystemDefinitionError(f"component {dotted[0]!r}: expected a name without a dot", dotted[0])
@@ -156,16 +168,6 @@ def load(
         from_actuators={n: v for n, v in from_actuators.items() if data["parameters"].get(n) == v},
         arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
-
-
-def _check_overlap(signals: Mapping[str, Any], start: float, stop: float) -> None:
-    """Warns (ScenarioWarning) of tables whose times are all before the run, or all after it."""
-    spans = {name: signal["times"] for name, signal in signals.items() if len(signal.get("times", ())) > 1}
-    apart = [name for name, times in spans.items() if times[-1] < start or times[0] > stop]
-    if apart:
-        listing = ", ".join(f"{name} {spans[name][0]:g}..{spans[name][-1]:g} s" for name in apart)
-        message = f"tables that do not overlap the run, {start:g}..{stop:g} s, keep one value: {listing}"
-        warnings.warn(message, ScenarioWarning, stacklevel=3)
 
 
 def _converted(data: Data, port: Callable[[str], Port | None]) -> Data:
@@ -223,24 +225,3 @@ def load_scenario(
     layers = file_layers(path)
     made = files_of(given_layers(layers, overrides or {}, settings or {}))
     return load(path, overrides, layers=layers, settings=settings, made=made)
-
-
-def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:
-    signals: dict[str, Signal] = {}
-    for name, declared in data["signals"].items():
-        with about(("signals", name, "file"), ("signals", name)):
-            signals[name] = signal(declared, f'signals."{name}"')
-    made: list[Fault] = []
-    for i, declared in enumerate(data.get("faults", [])):
-        with about(("faults", i)):
-            made.append(fault(declared, f"faults[{i}]"))
-    return Experiment(
-        **file.experiment.given(),
-        parameters=data["parameters"],
-        inputs=data["inputs"],
-        signals=with_derivatives(signals, data["inputs"], data.get("connections", [])),
-        events=tuple(Event(event.time, event.set) for event in file.events),
-        record=tuple(file.record),
-        step_sizes=file.step_sizes,
-        faults=tuple(made),
-    )

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fmus.fmi.description import start_value
-from fmus.fmi.model_description import ModelDescription, ScalarVariable
+from fmus.fmi.description import has_start_value, start_value
+from fmus.fmi.model_description import ModelDescription
 from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment, double_step
@@ -240,14 +240,6 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
     settings += [(port, fmi_value(port, value)) for name, value in inputs if (port := system.ports[name])]
     starts = ((port, value_of_open_input(port)) for port in system.open_inputs)
     return (*settings, *starts)
-
-
-def has_start_value(variable: ScalarVariable) -> bool:
-    """Whether a variable that is no input can be set before the initialisation (FMI 2.0.5, 4.2.4)."""
-    never = ("input", "independent", "structuralParameter")
-    if variable.variability == "constant" or variable.causality in never:
-        return False
-    return variable.causality == "parameter" or variable.initial in ("exact", "approx")
 
 
 def _changes(

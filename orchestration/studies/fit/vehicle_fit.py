@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import nearest
-from fmus.fmi.description import start_value
+from fmus.fmi.description import has_start_value, start_value
 from orchestration.errors import OrchestrationError
 from orchestration.many.job import Failure, Job, Run
 from orchestration.many.local_runs import LocalRuns
@@ -40,7 +40,6 @@ from orchestration.studies.fit.least_squares import (
 )
 from orchestration.studies.vehicle import DEPTH, PREFIX, Vehicle
 from orchestration.system.experiment import Experiment, suggested_times
-from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import System
 
 # of the coordinates: about 1e-4 of a value between limits of seven decades
