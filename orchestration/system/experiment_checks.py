@@ -42,6 +42,7 @@ def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]
     """
     step_starts = experiment.time_grid()[:-1] if experiment.faults else np.empty(0)
     for fault in experiment.faults:
+        steps = within(step_starts, fault.start, fault.end)
         port, effect = system.port(fault.input, f"fault on {fault.input}"), fault.effect
         if fault.input not in driven:
             problem = (
@@ -52,7 +53,7 @@ def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]
             problem = f"{type(effect).__name__}: expected an input of type Real, got {port.variable.type}"
         elif port.variable.type == "String" and isinstance(effect, Stuck):
             problem = "Stuck: expected an input that is a number, got a String"
-        elif not len(within(step_starts, fault.start, fault.end)):
+        elif not len(steps):
             problem = (
                 f"no communication step begins at {fault.start:g}..{fault.end:g} s: "
                 f"expected a part of the run, {experiment.start_time:g}..{experiment.stop_time:g} s"

@@ -159,28 +159,27 @@ def prepare_checked(
 
     external: inputs that the caller sets between the steps
     """
+    driven = {*experiment.signals, *external, *(target.name for _, target in system.connections)}
     check_memory(system, experiment)
-    first_values = _external(system, experiment, external)
-    driven = {*experiment.signals, *first_values, *(target.name for _, target in system.connections)}
-    recorded = _recorded(system, experiment, first_values)
+    check_signals(system, experiment)
     events = checked_events(system, experiment, driven)
     check_faults(system, experiment, driven)
     check_capabilities(system, experiment)
-    check_signals(system, experiment)
     if experiment.error_estimate:
         double_step(experiment)
+    periods = {name: experiment.period(name) for name in system.components}
     points = _communication_points(system, experiment)
     return PreparedRun(
         system=system,
         experiment=experiment,
         points=points,
-        recorded=recorded,
+        external=_external(system, experiment, external),
         settings=_settings(system, experiment),
-        changes=_changes(experiment, events, points),
-        periods={name: experiment.period(name) for name in system.components},
         input_ranges={name: value_range(system.ports[name]) for name in driven},
+        recorded=_recorded(system, experiment, external),
+        changes=_changes(events, periods, points, experiment.time_resolution()),
+        periods=periods,
         retry_obstacle=_retry_obstacle(system, experiment),
-        external=first_values,
     )
 
 
@@ -243,14 +242,17 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
 
 
 def _changes(
-    experiment: Experiment, events: Sequence[tuple[float, Sequence[Setting]]], points: np.ndarray
+    events: Sequence[tuple[float, Sequence[Setting]]],
+    periods: Mapping[str, int],
+    points: np.ndarray,
+    resolution: float,
 ) -> dict[int, list[Setting]]:
     """Returns the changes; a component takes one at its first communication point at or after the event."""
     changes: dict[int, list[Setting]] = {}
     for time, settings in events:
-        first = int(np.searchsorted(points, time - experiment.time_resolution()))
+        first = int(np.searchsorted(points, time - resolution))
         for port, value in settings:
-            period = experiment.period(port.component)
+            period = periods[port.component]
             index = min(-(-first // period) * period, len(points) - 1)
             changes.setdefault(index, []).append((port, value))
     return changes
