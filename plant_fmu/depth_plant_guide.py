@@ -58,7 +58,7 @@ sensor     m_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise xi_k) at t_k = 
         " voltage limit, or invert their own table. They ignore other effects of the thrusters.",
         "The loss of thrust at the surface is linear in the propeller's depth. It does not depend on the load"
         " or on how long the propeller has drawn air.",
-        "internal_step can be at most sensor_period, and sensor_delay at most seven periods.",
+        "internal_step can be at most sensor_period, sensor_delay at most seven periods.",
     ),
     sources=(
         Source(
