@@ -84,18 +84,18 @@ class ObserverParameters(ActuatorParameters):
         VelocitySource.ALPHA_BETA_OBSERVER, "Where the depth rate comes from", variability="fixed"
     )
     observer_alpha: float = variable(
-        0.4, "alpha of the observer", min=0.0, max=1.0, source="guess: not published"
+        0.4, "Gain alpha_o of the observer, for the depth", min=0.0, max=1.0, source="guess: not published"
     )
     observer_beta: float = variable(
         0.1,
-        "beta of the observer",
+        "Gain beta_o of the observer, for the rate",
         min=0.0,
         max=2.0,
-        source="alpha^2 / (2 - alpha), Benedict and Bordner (1962); not published",
+        source="alpha_o^2 / (2 - alpha_o), Benedict and Bordner (1962); not published",
     )
     observer_period: float = variable(
         0.04,
-        "Sampling period of the observer",
+        "Sampling period T_o of the observer",
         unit="s",
         min=1e-4,
         max=10.0,

@@ -84,15 +84,14 @@ z'(t)  = (z_i+1 - z_i) f'(s) / (t_i+1 - t_i),   z''(t) = (z_i+1 - z_i) f''(s) / 
         " everywhere: the impulse by which the speed jumps at a point is left out.",
     ),
     tuning=(
-        "Set point_time[i] and point_depth[i]; all twelve times must increase. Points that are not needed"
-        " come after the last wanted one, at its depth.",
-        "Connect depth_reference_rate and depth_reference_acceleration to a controller that has a reference"
-        " feedforward; others need neither.",
-        "smooth removes the kinks, which a controller answers with a jump in its demand; the greatest"
-        " speed of a ramp then is 1.875 times the speed of the straight ramp.",
+        "Set point_time[i] and point_depth[i]; all twelve times must increase. Put unused points after the"
+        " last used one, at its depth.",
+        "Connect depth_reference_rate and depth_reference_acceleration to a controller that uses them.",
+        "smooth removes the kinks, where the demand of a controller jumps. The largest speed of a smooth ramp"
+        " is 1.875 times the speed of the straight ramp.",
     ),
     limits=(
-        "Twelve points, one trajectory; nothing is repeated.",
+        "There are twelve points, and no repetition.",
         "Times and levels of the start values are published, straight ramps between them are assumed.",
     ),
     sources=(shared_guide.PAPER,),

@@ -8,34 +8,34 @@ PAPER = Source(
     "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
 )
 CONVENTIONS = (
-    "Depth is positive down, and so is every force; a positive demand pushes the vehicle down.",
+    "Depth and every force are positive down.",
     "A positive voltage gives a force along the body's z axis, downwards when the vehicle is upright;"
     " each thruster takes half of the demand.",
     "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
-    "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
-    "With thruster_tabulated the voltages follow from thruster_table_force, by lines between its points;"
-    " thruster_scale is n, the thrusters that a voltage drives. Table and n describe the vehicle. A force of"
-    " exactly 0 is 0 V.",
+    "Angles are in rad; roll and pitch may stay at 0 if they are not measured.",
+    "thruster_tabulated interpolates the voltages linearly in thruster_table_force. thruster_scale n is the"
+    " number of thrusters that a voltage drives. Table and n describe the vehicle. A force of exactly 0"
+    " gives 0 V.",
 )
 ALLOCATION = """\
 voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)   Maalouf et al. (2013), (11)
-             or table^-1(J u / (2 n_i)); 0 V for 0 N, over the dead band at a change of sign
+             or table^-1(J u / (2 n_i)), which jumps over the dead band where the sign changes
 """
 OBSERVER = """\
-observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v_hat + beta / T (z - z_p)
+observer     z_p = z_hat + T_o v_hat, z_hat = z_p + alpha_o (z - z_p), v_hat = v_hat + beta_o (z - z_p) / T_o
 """
 OBSERVER_TUNING = (
-    "observer_period is the sampling period of the depth sensor; for an observer_alpha, take"
+    "observer_period is the sampling period of the depth sensor. For each observer_alpha, set"
     " observer_beta = observer_alpha^2 / (2 - observer_alpha). With a measured depth rate, set"
     " velocity_source to measured."
 )
-VEHICLE_LIMIT = "A vehicle on its side (J near 0) cannot push vertically, and the controller does not try."
+VEHICLE_LIMIT = "A vehicle on its side (J near 0) cannot push vertically: its thrust for the depth is near 0."
 REFERENCE_RATES = (
-    "depth_reference_rate and depth_reference_acceleration may stay at 0 where only the depth is given."
+    "depth_reference_rate and depth_reference_acceleration may stay at 0 if only the depth is given."
     " The loop then follows a ramp with a lag, as the equations say."
 )
 HELD_CONTROL = (
-    "The controller calculates the force of its voltages, held from one communication point to the next:"
+    "The controller calculates the force of its voltages, held between communication points:"
     " a communication step should not be longer than internal_step."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")
@@ -52,10 +52,10 @@ EXPERIMENT = Experiment(
 
 _OF_BASELINES = (
     "The stated poles and proofs hold for ideal measurements and thrusters. Observer, sensor, thrusters and"
-    " the held control delay the loop by about 0.2 s with the start values: gains that make it several times"
-    " as fast let it oscillate.",
-    "The gains follow from the vehicle of RovDepthPlant, whose inertia and damping are an estimate and a"
-    " guess, and were tried on that plant alone.",
+    " the held control delay the loop by about 0.2 s with the start values: a loop several times as fast"
+    " oscillates.",
+    "The gains follow from the inertia (an estimate) and the damping (a guess) of RovDepthPlant. They were"
+    " tried on that plant alone.",
     VEHICLE_LIMIT,
 )
 

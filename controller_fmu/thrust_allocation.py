@@ -59,26 +59,26 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
 GUIDE = Guide(
     equations="""\
 voltage_i = J u / (2 K_i), limited to -voltage_limit .. voltage_limit,   J = cos(roll) cos(pitch)   (11)
-            or table^-1(J u / (2 n_i)); 0 V for 0 N, over the dead band at a change of sign
+            or table^-1(J u / (2 n_i)), 0 V for 0 N, which jumps over the dead band where the sign changes
 """,
     conventions=(
         "The force u is in the earth frame, positive down; a positive voltage pushes the upright vehicle"
         " down. Each thruster takes half of the demand.",
-        "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
+        "Angles are in rad; roll and pitch may stay at 0 if they are not measured.",
     ),
     tuning=(
-        "thruster_gain (N/V, measured) and voltage_limit describe the thrusters; with thruster_tabulated,"
-        " thruster_table_voltage, thruster_table_force and thruster_scale n, the thrusters that a voltage"
-        " drives, take the place of the gain.",
+        "thruster_gain (N/V, measured) and voltage_limit describe the thrusters. With thruster_tabulated,"
+        " thruster_table_voltage, thruster_table_force and thruster_scale n, the number of thrusters that a"
+        " voltage drives, replace the gain.",
     ),
     limits=(
         "The voltages of a communication point follow from the inputs of the step before it: in a Jacobi"
-        " exchange this block delays the force by one communication step. In a Gauss-Seidel exchange that"
-        " steps it after the controller and before the vehicle it does not.",
-        "The controller does not get the limit of the voltages: its own limit of the force should be"
-        " voltage_limit (K_1 + K_2) at most, so that its anti-windup acts.",
-        "A demand that changes its sign at each sample, as noise makes it, moves the voltage from one end of"
-        " the dead band to the other.",
+        " exchange this block delays the force by one communication step. In a Gauss-Seidel exchange in the"
+        " order controller, allocation, vehicle it does not.",
+        "The controller does not get the limit of the voltages: its own limit of the force should be at most"
+        " voltage_limit (K_1 + K_2), so that its anti-windup acts.",
+        "Noise that changes the sign of the demand moves the voltage from one end of the dead band to the"
+        " other.",
     ),
     sources=(shared_guide.PAPER,),
     experiment=Experiment(

@@ -87,7 +87,7 @@ BLOCK = heave_pitch_plant.BLOCK.with_starts(
             "The dead band of 1472 us to 1528 us is -0.84 V to 0.84 V.",
         ),
         tuning=(
-            "Controllers of this project invert the table with controller.thruster_tabulated, and"
+            "Controllers of l1-depth invert the table with controller.thruster_tabulated, and"
             " controller.thruster_scale[1] and [2] at 2.",
             "Sea water: net_weight -2.6 N and water_density 1027 kg/m3.",
         ),
@@ -95,15 +95,15 @@ BLOCK = heave_pitch_plant.BLOCK.with_starts(
             "Surge is neglected. Thrust F at a pitch of 0.1 rad pushes forward by 0.1 F; the added mass of"
             " heave is 12.3 kg above the added mass of surge, which turns the vehicle by 12.3 kg u w: 0.06"
             " N.m at 0.1 m/s and 0.05 m/s, 0.05 rad of pitch.",
-            "The righting moment has the weight for the buoyancy, which differ by 0.7 %, and is the same at"
-            " the surface as below. The free surface acts on heave alone.",
-            "One pair at full reverse thrust has a moment of 9.6 N.m, the righting moment is 1.3 N.m at most:"
-            " it tumbles the vehicle.",
+            "The righting moment contains the weight instead of the buoyancy, a difference of 0.7 %, also at"
+            " the surface. The free surface acts on heave alone.",
+            "One pair at full reverse thrust tumbles the vehicle: its moment is 9.6 N.m, the righting moment"
+            " at most 1.3 N.m.",
             "The hydrodynamic numbers were identified in a tank by others. Other sets of numbers of this"
             " vehicle exist, with 11.4 kg and a metacentric height of 0.1 m; they are not mixed with these.",
-            "Of the table every tenth row is taken, and the ends of the dead band. It was measured in fresh"
-            " water, at rest, and at a constant 16 V.",
-            "internal_step may exceed neither sensor_period nor 10 ms; sensor_delay not seven periods.",
+            "The table has every tenth row of its source, and the ends of the dead band. It was measured in"
+            " fresh water, at rest, at a constant 16 V.",
+            "internal_step can be at most sensor_period and 10 ms, sensor_delay at most seven periods.",
         ),
         sources=(
             Source(

@@ -10,56 +10,55 @@ z'         = J w,   J = cos(roll) cos(pitch),   w_r = w - J (v_c + w_f)
 B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change
              B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
 thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
-           F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_q)            (11): F = K v; off: r = 1, c = 0
-           or F_s = efficiency n table(v_s)                              off
-           F'  = sat((F_s - F) / lag, R)                                 off: no limit R
-           tau_z = s (F_1 + F_2),   s = clip((z + d_t) / d_f, 0, 1)      off: s = 1
-sensor     s_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k period
-           measured = the newest s_k with t_k + delay <= t;   n_k standard normal, h head of waves, q rounds
+           F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_q)            (11) for r = 1, c = 0
+           F_s = efficiency n table(v_s)                                 with thruster_tabulated
+           F'  = sat((F_s - F) / lag, R)                                 no limit for R = 0
+           tau_z = s (F_1 + F_2),   s = clip((z + d_t) / d_f, 0, 1)      s = 1 for d_f = 0
+sensor     m_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise xi_k) at t_k = t_0 + k period
+           measured = the newest m_k with t_k + delay <= t;   xi_k standard normal, h head of waves, q rounds
 """,
     conventions=(
         "Depth z is the depth of the vehicle's top, positive down and 0 at the surface.",
         "Forces and velocities along the body's z axis are positive down; a current and waves are given in"
         " the earth frame.",
         "wave_velocity w_f and wave_acceleration w_f' are vertical and positive down, wave_pressure_head h is"
-        " positive under a crest, as WaveSource gives them. The three belong together.",
-        "A positive voltage pushes down. net_weight is W - B: negative floats, as the start value does.",
+        " positive under a crest. Connect all three with WaveSource, or none.",
+        "A positive voltage pushes down. net_weight is W - B: the vehicle floats if it is negative.",
         "buoyancy_change is positive when it lifts.",
     ),
     tuning=(
-        "For another vehicle: weight, net_weight, waterplane_area and the size's added mass in inertia;"
-        " then linear_damping and quadratic_damping from a descent at constant thrust.",
-        "thruster_gain K, thruster_dead_zone v_0, thruster_voltage_limit v_max and thruster_lag; or"
-        " thruster_ideal, which keeps only gain and efficiency.",
-        "More of a thruster, all off at the start values: thruster_reverse_ratio, r for negative voltages;"
-        " thruster_curvature c, for a force that grows with the square of the voltage, with"
-        " thruster_curve_voltage v_q, where line and parabola meet; thruster_rate_limit R, of the force, as"
-        " motors and their drivers have it; thruster_full_depth d_f, the depth from which a propeller draws"
-        " no air, with thruster_depth d_t below the vehicle's top.",
-        "A measured thruster: thruster_tabulated, with thruster_table_voltage and thruster_table_force, a"
-        " line between their points, for thruster_scale n thrusters. For a shorter table, put"
-        " the unused points on its lines. The start values describe a T200, far too strong for this vehicle.",
-        "sensor_ideal reports the depth, with the pressure head of waves, at every instant; otherwise period,"
-        " noise, bias, drift, resolution and delay act, and sensor_seed chooses the noise: one seed gives one"
-        " sequence, on every platform.",
+        "For another vehicle, set weight, net_weight, waterplane_area and inertia (with the added mass of its"
+        " size), then linear_damping and quadratic_damping from a descent at constant thrust.",
+        "A thruster has thruster_gain K, thruster_dead_zone v_0, thruster_voltage_limit v_max and"
+        " thruster_lag. thruster_ideal keeps only gain and efficiency.",
+        "Further effects are off at the start values: thruster_reverse_ratio r, for negative voltages;"
+        " thruster_curvature c, for a force quadratic in the voltage, with thruster_curve_voltage v_q, where"
+        " line and parabola meet; thruster_rate_limit R of the force; thruster_full_depth d_f, from which a"
+        " propeller draws no air, with thruster_depth d_t below the vehicle's top.",
+        "For a measured thruster, set thruster_tabulated, thruster_table_voltage, thruster_table_force and"
+        " thruster_scale n, the number of thrusters. The force is linear between the points. For a shorter"
+        " table, put the unused points on its lines. The start values describe a T200, far too strong for"
+        " this vehicle.",
+        "sensor_ideal reports the depth, with the pressure head of waves, at every instant. Otherwise period,"
+        " noise, bias, drift, resolution and delay act. One sensor_seed gives one sequence of noise, on every"
+        " platform.",
         "Faults and surroundings are inputs: thruster_efficiency (1 healthy, 0 dead), external_force,"
-        " buoyancy_change, current_velocity, and three of waves, which the block WaveSource gives.",
+        " buoyancy_change, current_velocity, and three of waves, from the block WaveSource.",
     ),
     limits=(
-        "Heave alone: roll and pitch are inputs, and nothing else of the vehicle moves.",
-        "The paper gives neither inertia, damping, thruster nor sensor data: see the column Source for"
-        " what is published, estimated or guessed. The model was not compared with a real vehicle.",
-        "The vehicle's sides are vertical where it breaks the surface. There is no bottom and no tether.",
-        "Waves act as on a small body below them, by linear theory: the surface where the vehicle emerges"
-        " stays level, and forces of second order, such as the mean pull towards the surface, are left out.",
-        "At the surface, buoyancy is a spring of 218 N/m under 5.5 kg (6.3 rad/s). Sensor noise in a loop"
-        " keeps the vehicle oscillating there.",
-        "The controllers of this project assume a straight line of the thrust, with their own gain and limit"
-        " of the voltage, or invert a table among their parameters; they assume no other limit of the"
-        " thrusters.",
-        "Loss of thrust at the surface is a straight line in the propeller's depth: it depends neither on the"
-        " load nor on how long the propeller has drawn air.",
-        "internal_step may not exceed sensor_period, and sensor_delay not seven periods.",
+        "The vehicle moves in heave only; roll and pitch are inputs.",
+        "The paper gives no data of inertia, damping, thrusters and sensor: the column Source says what is"
+        " published, estimated or guessed. The model was not compared with a real vehicle.",
+        "The vehicle's sides are vertical at the surface. There is no bottom and no tether.",
+        "Waves act by linear theory on a small submerged body. The surface stays level where the vehicle"
+        " emerges. Forces of second order, such as the mean pull towards the surface, are left out.",
+        "At the surface, buoyancy is a spring of 218 N/m under 5.5 kg (6.3 rad/s). The delays of observer and"
+        " thrusters in a loop keep the vehicle oscillating there.",
+        "The controllers of l1-depth assume a thrust proportional to the voltage, with their own gain and"
+        " voltage limit, or invert their own table. They ignore other effects of the thrusters.",
+        "The loss of thrust at the surface is linear in the propeller's depth. It does not depend on the load"
+        " or on how long the propeller has drawn air.",
+        "internal_step can be at most sensor_period, sensor_delay at most seven periods.",
     ),
     sources=(
         Source(

@@ -77,11 +77,10 @@ x' = A_m x + B_m (omega u + theta^T x + sigma)
 y  = C x
 """,
     conventions=(
-        "Dimensionless but for time; control is u, disturbance is sigma, which enters where the control"
-        " does.",
+        "Quantities are dimensionless, time is in s. The disturbance sigma enters where the control u does.",
     ),
     tuning=(
-        "theta and omega are what a controller does not know; change them to see how much it bears.",
+        "theta and omega are unknown to a controller: change them to test its robustness.",
         "internal_step is the step of a classical Runge-Kutta method of fourth order; it should be short"
         " against the fastest eigenvalue of A_m + B_m theta^T.",
     ),

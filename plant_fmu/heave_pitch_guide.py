@@ -22,7 +22,7 @@ z'         = v,   theta' = q,   v_r = v - v_c - w_f
 B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change
              B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
 thruster   as in RovDepthPlant, F_1 fore, F_2 aft, each at its own depth; behind its lag
-           (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0)             off: a_0 = 0
+           (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0)             none for a_0 = 0
 sensor     as in RovDepthPlant, of z - x_s sin(theta) - z_s (1 - cos(theta)) + p_f / (rho g)
 pitch      sampled as the depth is, with white noise
 """,
@@ -35,10 +35,10 @@ pitch      sampled as the depth is, with white noise
         "Waves act as in RovDepthPlant. They turn the vehicle only if external_moment does so.",
     ),
     tuning=(
-        "For another vehicle: as RovDepthPlant; then pitch_inertia and metacentric_height from the"
-        " period 2 pi sqrt(I / (W BG)) of a free oscillation, the damping from its decay.",
-        "thruster_tabulated and thruster_transfer for a measured thruster; the lag acts before the transfer"
-        " function, so set it to 0.",
+        "For another vehicle, set the heave as in RovDepthPlant, pitch_inertia and metacentric_height from"
+        " the period 2 pi sqrt(I / (W BG)) of a free oscillation, and the damping from its decay.",
+        "For a measured thruster, set thruster_tabulated and thruster_transfer. The lag acts before the"
+        " transfer function: set it to 0.",
         "A step is one of the classical Runge-Kutta method of fourth order, exact in the lag. internal_step"
         " must resolve the poles of thruster_transfer: at 0.45 of the fastest, 5 ms for a T200, the force"
         " after a jump of the voltage is within 0.03 % of the jump.",
@@ -47,12 +47,12 @@ pitch      sampled as the depth is, with white noise
         "Surge is neglected. Thrust F at a pitch of 0.1 rad pushes forward by 0.1 F: 0.12 N at the holding"
         " thrust, 5 cm/s with a damping of 2.5 N.s/m, of which 0.5 cm/s would be along the inclined path."
         " Added masses of surge and heave that differ would turn the vehicle while it surges.",
-        "The righting moment has the weight for the buoyancy, which differ by 4 % here, and is the same at"
-        " the surface as below. The free surface acts on heave alone.",
+        "The righting moment contains the weight instead of the buoyancy, a difference of 4 %, also at the"
+        " surface. The free surface acts on heave alone.",
         "A thruster whose moment is above W BG tumbles the vehicle: 0.147 N.m here, two thrusters that"
         " differ by 2.5 N.",
-        "internal_step may exceed neither sensor_period nor the inverse of the largest rate of"
-        " thruster_transfer; sensor_delay not seven periods.",
+        "internal_step can be at most sensor_period and the inverse of the largest rate of"
+        " thruster_transfer, sensor_delay at most seven periods.",
         "Moments, levers and damping of pitch are guesses. The model was not compared with a real vehicle.",
     ),
     sources=depth_plant_guide.GUIDE.sources,

@@ -139,7 +139,7 @@ JONSWAP   S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),    x = w / w_
           s = 0.07 for x <= 1, 0.09 above;   sum a_i^2 / 2 = (H_s / 4)^2
 """,
     conventions=(
-        "Depth z is below the mean surface, positive down; so are velocity and acceleration. The elevation is"
+        "Depth z below the mean surface, velocity and acceleration are positive down. The elevation is"
         " positive up, the pressure head positive under a crest.",
         "Above the mean surface (z < 0) the water moves as at the surface.",
         "t is the time of the simulation, whatever its start.",
@@ -153,13 +153,13 @@ JONSWAP   S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),    x = w / w_
         "wave_amplitude and start_phase act on a regular wave alone; significant_height, gamma and seed on a"
         " sea.",
         "One seed is one sea: take several for a statement about a sea state.",
-        "The depth comes from the last communication point: its error is the way of a step, 2 mm in 20 ms at"
-        " 0.1 m/s. The relative error of the motion is k times this way, 0.03 % at a period of 5 s.",
+        "The depth comes from the last communication point: its error is the distance moved in a step, 2 mm"
+        " in 20 ms at 0.1 m/s. The relative error of the motion is k times it, 0.03 % at a period of 5 s.",
     ),
     limits=(
         "Linear theory in deep water: bottom, breaking and drift are left out. Waves above the steepness of"
         " breaking are refused; well below it the theory is better.",
-        "One direction, and one place: the vehicle does not move with the waves horizontally, and it is small"
+        "Waves have one direction and act at one place: the vehicle does not move horizontally, and is small"
         " beside a wave length.",
         "The spectrum ends at four times the peak frequency, above which JONSWAP has 0.4 % of its variance.",
     ),

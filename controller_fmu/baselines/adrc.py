@@ -128,16 +128,16 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
 GUIDE = shared_guide.depth_guide(
     EQUATIONS,
     tuning=(
-        "control_bandwidth first, from the wanted speed of the loop; observer_bandwidth 3 to 5 times that,"
-        " as far as noise and lags of the loop allow.",
-        "model_inertia is the b_0 = 1 / M of the literature, the only number of the vehicle's dynamics.",
+        "Set control_bandwidth to the desired speed of the loop, then observer_bandwidth to 3 to 5 times it,"
+        " if noise and lags of the loop allow.",
+        "model_inertia M is the only number of the vehicle's dynamics; b_0 = 1 / M in the literature.",
     ),
     limits=(
-        "The extended state observer takes the place of the alpha-beta observer: the law uses the measured"
-        " depth alone, not measured_depth_rate. estimated_depth_rate is its z_2.",
-        "A step is exact for a measurement that is held, so it is stable for any step and any w_o.",
-        "The observer is driven by the force that the thrusters deliver: while they saturate, z_3 is still"
-        " the disturbance, and the estimate does not wind up.",
+        "The extended state observer replaces the alpha-beta observer: the law uses measured_depth, not"
+        " measured_depth_rate. estimated_depth_rate is its z_2.",
+        "A step is exact for a held measurement, so it is stable for any step and any w_o.",
+        "The observer gets the delivered force: its estimate z_3 of the disturbance does not wind up while"
+        " the thrusters saturate.",
         shared_guide.HELD_CONTROL,
         shared_guide.REFERENCE_RATES,
     ),

@@ -175,17 +175,16 @@ def output(t: float, state: State, p: Parameters, matrices: DepthMatrices) -> Ou
 GUIDE = shared_guide.depth_guide(
     EQUATIONS,
     tuning=(
-        "depth_gain and rate_gain make A_m, the dynamics that the loop is given: M w^2 and 2 M w - D for two"
-        " poles at w.",
-        "estimate_gain: with Q = I and both poles of A_m at 1 rad/s, Gamma = M^2 puts the poles of the loop"
-        " of sigma_hat at -1 and -0.5 +- 0.5j rad/s. More is faster and less damped: the vehicle itself, with"
-        " all its lags, closes that loop, so the very high Gamma of the L1 law is out of reach here.",
-        "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the net"
-        " buoyancy.",
+        "depth_gain and rate_gain determine A_m, the desired dynamics of the loop: M w^2 and 2 M w - D give"
+        " two poles at w.",
+        "estimate_gain Gamma: with Q = I and both poles of A_m at 1 rad/s, M^2 puts the poles of the loop of"
+        " sigma_hat at -1 and -0.5 +- 0.5j rad/s. A larger gain is faster and less damped. The vehicle and"
+        " its lags are in that loop, so the very high Gamma of the L1 law is not possible.",
+        "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy.",
     ),
     limits=(
         "There is no low-pass filter between estimates and control: Gamma trades robustness for speed.",
-        "While the thrusters saturate, the delivered force drives the reference model, so that saturation"
+        "While the thrusters saturate, the reference model gets the delivered force, so that saturation"
         " changes no estimate.",
         shared_guide.HELD_CONTROL,
         shared_guide.REFERENCE_RATES,

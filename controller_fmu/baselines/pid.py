@@ -86,15 +86,14 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
 GUIDE = shared_guide.depth_guide(
     EQUATIONS,
     tuning=(
-        "Poles of M s^3 + (D + k_d) s^2 + k_p s + k_i: three at w for k_p = 3 M w^2, k_i = M w^3 and"
-        " k_d = 3 M w - D.",
-        "beta = 1 follows a ramp of known rate without error; beta = 0 takes the rate of the reference out of"
-        " the law. It moves zeros, no pole.",
+        "k_p = 3 M w^2, k_i = M w^3 and k_d = 3 M w - D give three poles at w.",
+        "beta = 1 follows a ramp of known rate without error; beta = 0 removes the rate of the reference from"
+        " the law. beta moves zeros, no pole.",
     ),
     limits=(
         shared_guide.REFERENCE_RATES,
-        "The integral holds while the thrusters saturate and it would demand still more. A change of ki in a"
-        " run acts on later errors alone.",
+        "The integral holds while the thrusters saturate and it would increase the demand. A change of ki in"
+        " a run acts on later errors alone.",
     ),
     sources=(Source("K. J. Astrom and T. Hagglund: Advanced PID Control, ISA, 2006."),),
 )

@@ -105,19 +105,19 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
 GUIDE = shared_guide.depth_guide(
     EQUATIONS,
     tuning=(
-        "switching_gain: above the largest disturbance, buoyancy included, and below what both thrusters"
-        " give.",
-        "boundary_layer: K / (M phi) is the third pole inside the layer; a thinner layer makes it as fast as"
-        " the lags of the loop, and the voltages chatter.",
-        "error_bandwidth is both other poles.",
+        "switching_gain K must be above the largest disturbance, buoyancy included, and below the force of"
+        " both thrusters.",
+        "With boundary_layer phi, K / (M phi) is the third pole inside the layer. In a thin layer it is as"
+        " fast as the lags of the loop, and the voltages chatter.",
+        "error_bandwidth lambda is the two other poles.",
     ),
     limits=(
         "Inside the boundary layer the law is a PID with k_p = M lambda^2 + 2 lambda K / phi,"
-        " k_i = lambda^2 K / phi and k_d = 2 lambda M + K / phi - D; it differs from one only where the error"
-        " leaves the layer.",
+        " k_i = lambda^2 K / phi and k_d = 2 lambda M + K / phi - D; it differs only outside the"
+        " layer.",
         "A change of error_bandwidth in a run makes u jump: it multiplies the integral of past errors.",
         shared_guide.REFERENCE_RATES,
-        "The integral holds while the thrusters saturate and it would demand still more.",
+        "The integral holds while the thrusters saturate and it would increase the demand.",
     ),
     sources=(
         Source("J.-J. Slotine and W. Li: Applied Nonlinear Control, Prentice Hall, 1991, chapter 7."),

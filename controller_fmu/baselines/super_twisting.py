@@ -130,17 +130,17 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
 GUIDE = shared_guide.depth_guide(
     EQUATIONS,
     tuning=(
-        "For disturbances that change by L at most, in N/s: root_gain 1.5 sqrt(L M), twisting_gain 1.1 L.",
-        "Estimate: a loop that is late by T s oscillates where |s| is below about (k_2 T / k_1)^2, as there"
-        " the damping by k_1 is less than the delay takes. Smaller gains make it quieter, and slower against"
-        " disturbances.",
-        "smoothing: of the order of the noise of the depth rate.",
+        "For disturbances that change by at most L, in N/s, set root_gain k_1 to 1.5 sqrt(L M) and"
+        " twisting_gain k_2 to 1.1 L.",
+        "With a delay of T s, the loop oscillates while |s| is below about (k_2 T / k_1)^2 (estimate)."
+        " Smaller gains make it quieter, but slower against disturbances.",
+        "Set smoothing eps to the order of the noise of the depth rate.",
     ),
     limits=(
-        "The finite time holds for eps = 0 and an ideal loop; with eps, noise and lags the error stays in a"
-        " neighbourhood of 0.",
+        "The error reaches 0 in finite time for eps = 0 and an ideal loop. With eps, noise and lags it stays"
+        " near 0.",
         shared_guide.REFERENCE_RATES,
-        "nu holds while the thrusters saturate and it would demand still more.",
+        "nu holds while the thrusters saturate and it would increase the demand.",
     ),
     sources=(
         Source(

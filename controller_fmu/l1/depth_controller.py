@@ -215,6 +215,7 @@ GUIDE = Guide(
     + DEFINITIONS
     + """
 x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
+y            = C x = z
 """
     + shared_guide.ALLOCATION
     + shared_guide.OBSERVER,
@@ -222,34 +223,31 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
     tuning=(
         "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (N/V,"
         " measured) and voltage_limit. The adaptation has to compensate their errors.",
-        "depth_feedback_gain and rate_feedback_gain make A_m, the desired dynamics of the loop. On a"
-        " ramp the plain law lags by about (model_damping + rate_feedback_gain) / depth_feedback_gain"
-        " seconds, and the filter adds about 1 / filter_bandwidth.",
-        "filter_bandwidth: a larger one makes the adaptive control faster, with more noise and less margin to"
-        " delays.",
-        "adaptation_gain: a larger one makes the estimates faster and noisier. It needs no shorter step, but"
-        " the margin to delays of the measurement is 204 ms at 100, 17 ms at 1000, 131 ms at 1e4: watch"
-        " sigma_hat and the voltages, not the depth alone.",
-        "theta_bound and sigma_bound enclose the uncertainty, in N; sigma_hat has to reach the net buoyancy."
-        " Where an estimate stays on its bound, the bound is too small or the loop too fast.",
-        "Against the lag, augmentation is pi: proportional_gain first, then little integral_gain; or"
-        " nonlinear_p, where large_error_gain = small_error_gain avoids a jump at nonlinear_threshold.",
-        "If the derivatives of the reference are known, drive depth_reference_rate and"
+        "depth_feedback_gain and rate_feedback_gain determine A_m, the desired dynamics of the loop. Without"
+        " augmentation, the depth lags on a ramp by about"
+        " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
+        "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
+        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The delay"
+        " margin of the measurement falls and rises again: 204 ms at 100, 17 ms at 1000, 131 ms at 1e4."
+        " Watch sigma_hat and the voltages as well as the depth.",
+        "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy."
+        " If an estimate stays on its bound, the bound is too small or the loop too fast.",
+        "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
+        " With nonlinear_p, large_error_gain = small_error_gain avoids a jump at nonlinear_threshold.",
+        "If the derivatives of the reference are known, connect depth_reference_rate and"
         " depth_reference_acceleration and set reference_feedforward: inside leaves the lag of the filter,"
-        " outside none. It combines with augmentation, which then acts on the remaining error.",
-        "adaptation_law piecewise_constant needs no adaptation_gain and no bounds, and has no fast loop, but"
-        " differentiates the depth rate over adaptation_period: its estimates are noisier. A slow"
-        " prediction_error_matrix A_s leaves the smallest offset; an adaptation_period below"
-        " observer_period only adds noise.",
+        " outside leaves none. augmentation then acts on the remaining error.",
+        "adaptation_law piecewise_constant needs no adaptation_gain and no bounds. It differentiates the"
+        " depth rate over adaptation_period, so its estimates are noisier. A slow prediction_error_matrix A_s"
+        " gives the smallest offset; an adaptation_period below observer_period only adds noise.",
         shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         *LAW_LIMITS,
-        "The paper publishes no gain of its vehicle: those here were fitted to the nominal row of its"
-        " Table 1, or are guesses, as the column Source says, and were tried on the vehicle of"
-        " RovDepthPlant alone.",
-        "Tried on that plant, holding 0.8 m: with adaptation_gain 100 the depth is lost above 200 ms of"
-        " sensor delay; with 1000 already 10 ms make it oscillate.",
+        "The paper publishes no gains for its vehicle. The column Source says which gains were fitted to the"
+        " nominal row of its Table 1; the others are guesses. All were tried on RovDepthPlant alone.",
+        "On that plant, holding 0.8 m, adaptation_gain 100 loses the depth above 200 ms of sensor delay;"
+        " with 1000 the depth oscillates at 10 ms.",
         shared_guide.VEHICLE_LIMIT,
     ),
     sources=(
@@ -257,7 +255,7 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
         shared_guide.OBSERVER_SOURCE,
         Source(
             "T. Benedict and G. Bordner: Synthesis of an optimal set of radar track-while-scan smoothing"
-            " equations, IRE Transactions on Automatic Control, 1962 (beta of an alpha)."
+            " equations, IRE Transactions on Automatic Control, 1962 (beta_o from alpha_o)."
         ),
     ),
     experiment=shared_guide.EXPERIMENT,

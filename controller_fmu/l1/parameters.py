@@ -17,8 +17,8 @@ A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
 
 phi          = (|x|_inf, 0)    regressor infinity_norm
                x               regressor state
-u_omega      = u_a + u_f       input_gain_regressor adaptive_control
-               u_a + u_f + u_p input_gain_regressor adaptive_control_and_extension
+u_omega      = u_a + u_f        input_gain_regressor adaptive_control
+               u_a + u_f + u_p  input_gain_regressor adaptive_control_and_extension
 C(s)         = w / (s + w)                         filter_order first
                (3 w^2 s + w^3) / (s + w)^3         filter_order third
 
@@ -38,28 +38,29 @@ x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_ha
 """
 DEFINITIONS = """\
 C(s)         = k D / (1 + k D)
-Proj(a, y)   = (1 - f) y   where a y > 0 and f = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else y
+Proj(a, b)   = (1 - p) b   where a b > 0 and p = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else b
+             a_max: bound of a; for omega_hat, a = omega_hat - input_gain
 """
 
 
 LAW_LIMITS = (
-    "The L1-norm condition covers the law without the extension u_p and with perfect measurements; delays"
-    " and the lag of an actuator are outside it. The paper proves nothing about the loop with the"
-    " extension. This FMU checks neither.",
-    "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p + u_f but learns from"
-    " u_a + u_f: another reason why the proof does not cover the extension. input_gain_regressor lets it"
-    " learn from all, which restores the Lyapunov argument, but tracks no better.",
-    "While the actuator saturates, its delivered control drives the prediction, and the states of the"
-    " filter and the integral of the PI are held where their change would demand still more. Noise at"
-    " the limit therefore slows them: keep the limit above the demand and its noise.",
+    "The L1-norm condition, which the proof of stability needs, assumes perfect measurements, no extension"
+    " u_p, no delay and no lag of an actuator. The FMU does not check it. The paper proves nothing about"
+    " the loop with the extension.",
+    "With input_gain_uncertainty above 0, omega_hat multiplies u_a + u_p + u_f but is estimated from"
+    " u_a + u_f, which the proof does not cover. input_gain_regressor adaptive_control_and_extension"
+    " estimates it from all three: this restores the Lyapunov argument but does not improve tracking.",
+    "While the actuator saturates, the predictor gets the delivered control. The states of the filter and"
+    " the integral of the PI are held if their change would increase the demand. Noise at the limit slows"
+    " them: keep the limit above the demand and its noise.",
     "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
-    " exact for the assumed A_m and a reference whose derivatives are given; at a corner of the reference"
-    " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
-    " times the disturbance, and has no bounds.",
-    "The prediction is driven by the control that this FMU put out, held from one communication point to"
-    " the next: a communication step should not be longer than internal_step. In a longer step, the FMU"
-    " predicts by control that the plant does not get, and the control varies more. Where a step takes the"
-    " inputs of its end (Gauss-Seidel), set inputs_at_step_end.",
+    " exact for the assumed A_m and given derivatives of the reference; it leaves out the impulse of"
+    " acceleration at a corner. The piecewise-constant law estimates e^(A_s Ts) times the disturbance,"
+    " without bounds.",
+    "The predictor gets the control of this FMU, held between communication points: a communication step"
+    " should not be longer than internal_step. In a longer step, the predictor and the plant get different"
+    " controls, and the control varies more. For a Gauss-Seidel master, which sets the inputs of a step's"
+    " end, set inputs_at_step_end.",
 )
 
 

@@ -174,21 +174,21 @@ y            = C x,   u saturated at +-control_limit
         "All quantities are in the units of the plant at hand, time in s; the description calls them"
         " dimensionless.",
         "tracking_error is e = y - r: positive when the output is above the reference.",
-        "prediction_error is x_hat - x, both of the time of the last measurement.",
+        "prediction_error is x_hat - x at the time of the last measurement.",
     ),
     tuning=(
         "state_matrix (A_m, Hurwitz), input_vector (B_m) and output_vector (C) are the desired dynamics,"
         " with feedback_gain k_m already in A_m: A_m = A - B_m k_m.",
-        "theta_bound, sigma_bound and input_gain_uncertainty enclose the uncertainty; a bound of 0 holds the"
+        "theta_bound, sigma_bound and input_gain_uncertainty limit the estimates; a bound of 0 holds the"
         " estimate at its value.",
-        "filter_bandwidth: the L1-norm condition requires a least one, 44.5 rad/s for the start values"
-        " with the first-order filter and 36.4 rad/s with the third-order one.",
-        "adaptation_gain may be large: a step turns prediction error and estimates by the angle of their"
-        " oscillation, exactly and however large.",
-        "The lag of the plain law comes from A_m, not from the filter; augmentation removes it. With"
-        " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta from vanishing"
+        "The L1-norm condition requires a filter_bandwidth of at least 44.5 rad/s for the start values with"
+        " the first-order filter, 36.4 rad/s with the third-order one.",
+        "adaptation_gain may be large: a step solves the oscillation of prediction error and estimates"
+        " exactly.",
+        "Without augmentation, the lag comes from A_m, not from the filter; augmentation removes it. With"
+        " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta above 0"
         " where the reference crosses zero.",
-        "If the derivatives of the reference are known, drive reference_rate and reference_acceleration and"
+        "If the derivatives of the reference are known, connect reference_rate and reference_acceleration and"
         " set reference_feedforward: inside leaves the lag of the filter, outside none. It needs C B_m = 0.",
         "adaptation_law piecewise_constant has no fast loop and needs no gain or bounds; set"
         " adaptation_period to the communication step, and prediction_error_matrix A_s so slow that"

@@ -30,7 +30,7 @@ from fmus.compliance.rule import (
 from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.compliance.texts import defect, without_folders
 from fmus.compliance.traces.show import what_shows
-from fmus.errors import HostError, MissingExtraError
+from fmus.errors import HostError, MissingExtraError, listed
 from fmus.files import extract_archive
 from fmus.fmi.binding import platform_name
 from fmus.fmi.process import ProcessEndedError
@@ -227,8 +227,8 @@ class _Judge:
         rules = _in_order(chosen, applicable)
         self._judge_each(rules)
         for name, (first, *others) in self._vanished.items():
-            more = f" and {len(others)} more rules" if others else ""
-            words = f"only after other instances in the process, found by {first.rule.name}{more}"
+            found_by = listed([result.rule.name for result in (first, *others)], 1)
+            words = f"only after other instances in the process, found by {found_by}"
             if name not in self.results or not self.results[name].messages:
                 self.results[name] = Result(self._applicable[name], (f"{first.messages[0]}; {words}",))
 

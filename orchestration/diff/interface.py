@@ -4,6 +4,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from fmus.errors import listed
 from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.diff.change import Change, Level
@@ -120,8 +121,7 @@ def file_changes(old: Path, new: Path) -> list[Change]:
             level = Level.PATCH
             if kind == "binaries" and verb != "other content":
                 level = Level.MAJOR if verb == "gone" else Level.MINOR
-            more = f" and {len(own) - 3} more" if len(own) > 3 else ""
-            changes.append(Change(level, "files", f"{verb}: {', '.join(own[:3])}{more}"))
+            changes.append(Change(level, "files", f"{verb}: {listed(own, 3)}"))
     return changes
 
 

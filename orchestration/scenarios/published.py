@@ -22,7 +22,7 @@ CASES = ("nominal", "buoyancy", "example")
 
 @dataclass(frozen=True)
 class Published:
-    """One figure: where it stands, which scenario and metric reproduce it, its value."""
+    """A reference value: where it stands, which scenario and metric reproduce it, its value."""
 
     where: str
     case: str
@@ -56,10 +56,10 @@ PUBLISHED = (
     Published(
         "Section 5.3", "buoyancy", "extended", "holding_thrust", "Holding thrust", "N", 1.4, "W - B, drag"
     ),
-    *_row("Oracle, x(0) = 0", "example", "lag", "Lag", "s", 1.403, 0.048, "computed"),
-    *_row("Oracle, x(0) = 0", "example", "rmse", "RMSE", "1", 19.80, 0.798, "computed"),
+    *_row("Calculated, x(0) = 0", "example", "lag", "Lag", "s", 1.403, 0.048, "computed"),
+    *_row("Calculated, x(0) = 0", "example", "rmse", "RMSE", "1", 19.80, 0.798, "computed"),
 )
-"""Published figures and, for the example, the independent oracles."""
+"""Published values and, for the example, independently calculated ones."""
 
 
 def summary(metrics: Mapping[str, MetricDocument]) -> dict[str, dict[str, MetricDocument]]:
@@ -70,16 +70,16 @@ def summary(metrics: Mapping[str, MetricDocument]) -> dict[str, dict[str, Metric
 
 
 def comparison_table(measured: Mapping[str, Mapping[str, float]]) -> "Table":
-    """Returns every published figure beside ours, with the deviation."""
+    """Returns every reference value beside the value of the runs, with the deviation."""
     from rich.markup import escape
     from rich.table import Table
 
     table = Table(title="Published and reproduced", title_justify="left")
-    for heading in ("Source", "Case", "Controller", "Figure", "Unit"):
+    for heading in ("Source", "Case", "Controller", "Metric", "Unit"):
         table.add_column(heading)
-    for heading in ("Reference", "Ours", "Deviation", "in %"):
+    for heading in ("Reference", "Here", "Deviation", "in %"):
         table.add_column(heading, justify="right")
-    table.add_column("Ours is")
+    table.add_column("Basis")
     before = None
     for figure in PUBLISHED:
         ours = measured[figure.scenario][figure.metric]

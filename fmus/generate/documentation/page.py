@@ -41,12 +41,12 @@ _ARRAYS = {
     3: "name[1..2] stands for the array name with two elements, m[1..2,1..2] for an array with two rows.",
 }
 _EXCHANGE = "<tr><td>Model exchange</td><td>{}</td></tr>"
-_BUILDING = """<li>For another platform compile sources/{file} with the headers of FMI {fmi}.0, which belong
-to the importer; FMI{fmi}_OVERRIDE_FUNCTION_PREFIX gives functions the names that a shared library has:
+_BUILDING = """<li>For another platform compile sources/{file} with the importer's headers of FMI {fmi}.0;
+FMI{fmi}_OVERRIDE_FUNCTION_PREFIX gives functions the names of a shared library:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
 _HEADINGS = ("Name", "Meaning", "Unit or type", "Start", "Permitted", "Variability", "Source")
-_CONNECTED = ("Variable here", "Direction", "Variable there", "FMU there, one of")
+_CONNECTED = ("Variable here", "Direction", "Variable there", "FMU there (one of these)")
 
 
 def documentation(
@@ -125,8 +125,8 @@ def _wiring(block: Block, connected: Sequence[Connection]) -> str:
         return ""
     ways = {True: "comes from", False: "goes to"}
     rows = [(one.own, ways[one.is_input], one.other, ", ".join(one.fmus)) for one in connected]
-    table = _table(f"Variables of {block.name} and of FMUs that fit it", _CONNECTED, rows)
-    rest = "<p>Inputs that nothing drives keep their start values.</p>"
+    table = _table(f"Connect {block.name} as follows", _CONNECTED, rows)
+    rest = "<p>Unconnected inputs keep their start values.</p>"
     return f"<h2>Connections with other FMUs</h2>\n{table}\n{rest}"
 
 
@@ -174,8 +174,8 @@ def _stimuli(block: Block) -> str:
         (name, ", ".join(f"{value} at {time} s" for time, value in points))
         for name, points in block.guide.experiment.stimuli
     ]
-    headings = ("Input", "Straight lines through")
-    return _table("What moves; every other input keeps its start value", headings, rows) if rows else ""
+    headings = ("Input", "Lines between the points")
+    return _table("Inputs that vary; the others keep their start values", headings, rows) if rows else ""
 
 
 def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

@@ -68,7 +68,7 @@ async function counted(drawing) {
  * zoomed(x, y): called after a drag with a range or null for each axis that was not chosen, and with two nulls
  * after a double click; the chart zooms itself by default; more: further options of uPlot
  */
-function chart(place, lines, { x = "time [s]", y = "", range, yRange, down = false, zoomed, legend, more = {} } = {}) {
+function chart(place, lines, { x = "Time [s]", y = "", range, yRange, down = false, zoomed, legend, more = {} } = {}) {
   const css = getComputedStyle(document.documentElement);
   const [ink, line] = ["--ink", "--line"].map((name) => css.getPropertyValue(name).trim());
   const font = `12px ${getComputedStyle(document.body).fontFamily}`;

@@ -1,6 +1,7 @@
 """Differences of two FMUs: their levels, where results differ, and the exit status."""
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from orchestration.cli.commands import run_command
 from orchestration.cli.package_fmus import build_started
 from orchestration.diff.behaviour import _of_recordings
 from orchestration.diff.change import Level
-from orchestration.diff.interface import interface_changes
+from orchestration.diff.interface import file_changes, interface_changes
 from orchestration.results.recording import Recording
 from tests.described_fmus import described, redescribed
 from tests.shared_builds import Fmus
@@ -46,6 +47,16 @@ def test_a_difference_of_the_interface_has_its_level(
     found = interface_changes(one, other)
     assert [c.level for c in found if c.text.startswith(text)] == [level]
     assert interface_changes(one, one) == []
+
+
+def test_no_number_hides_one_file_alone(tmp_path: Path) -> None:
+    one, other = fmu(tmp_path / "one"), fmu(tmp_path / "other")
+    for count, end in ((4, "d.c"), (5, "c.c and 2 more")):
+        with zipfile.ZipFile(other, "a") as archive:
+            for name in "abcde"[4 * (count > 4) : count]:
+                archive.writestr(f"sources/{name}.c", "")
+        (text,) = (change.text for change in file_changes(one, other) if change.text.startswith("new: "))
+        assert text.endswith(f"sources/{end}"), text
 
 
 @pytest.mark.parametrize(("gap", "level"), [(0.5, Level.MINOR), (1e-12, Level.PATCH)])
