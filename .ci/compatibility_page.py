@@ -19,12 +19,13 @@ Every native FMU has co-simulation (CS) and model exchange (ME), of FMI 2.0 or, 
 of FMI 3.0. FMUs of [the python flavour](../how-to/importing/README.md#the-python-flavour) have co-simulation
 of FMI 2.0."""
 _WORDS = """\
-- *run*: by the test below, in this project's CI. *scalars*: no arrays.
+- *run*: by the test below, in this project's CI. *`--scalars`*: an FMU built with this option.
 - *by hand*: once, as stated below; no test repeats it.
 - *no*: the importer has no such interface, or cannot load these FMUs. *not run*: nobody tried it.
 - *listed*: by [fmi-standard.org](https://fmi-standard.org/tools/) in June 2026, and not run.
-- *prototype*: OMSimulator merged [CS 3.0](https://github.com/OpenModelica/OMSimulator/pull/1414) and
-  [ME 3.0](https://github.com/OpenModelica/OMSimulator/pull/1523) under this name; not run.
+- CasADi, Ecos and OMSimulator do not support arrays (FMI 3.0.2, 2.2.7.1).
+- OMSimulator takes value references in `dependencies` and `derivative` (2.4.7, 2.4.8) for places of
+  variables, from 1. In these FMUs both are equal. With references from 0 it refused 13 of the 15.
 - libcosim has an open request for [FMI 3.0](https://github.com/open-simulation-platform/libcosim/issues/741)."""
 _AGREEMENT = """\
 ## How well they agree
@@ -95,6 +96,8 @@ def _word(entry: Any) -> str:
 
 
 def _names(fmus: Any) -> str:
+    if isinstance(fmus, int):
+        return f"{fmus} of {len(block_names())}"
     return f"all {len(block_names())}" if fmus == "all" else ", ".join(f"`{name}`" for name in fmus)
 
 

@@ -38,19 +38,22 @@ _OF_CO_SIMULATION = {"canInterpolateInputs": "true", "maxOutputDerivativeOrder":
 _WRITERS = ("l1-depth", "casadi")
 
 
-def native_members(traced: "Traced", reals_only: bool = False, fmi: int = 2) -> tuple[str, dict[str, bytes]]:
+def native_members(
+    traced: "Traced", reals_only: bool = False, fmi: int = 2, scalars: bool = False
+) -> tuple[str, dict[str, bytes]]:
     """Returns (GUID, path -> content) of a native FMU without its libraries.
 
     reals_only: whether every variable is a Real, for importers that support no other type
     fmi: the version of the standard, 2 or 3
+    scalars: whether the elements of arrays are variables, of FMI 3.0; they always are of FMI 2.0
     """
     from fmus.generate.derivatives import Sensitivities
     from fmus.generate.native import COMPILED, c_sources
 
     block, files, modes = traced.block, COMPILED[fmi], Sensitivities(traced)
-    sources = c_sources(traced, modes, GUID, reals_only, fmi)
+    sources = c_sources(traced, modes, GUID, reals_only, fmi, scalars)
     if fmi == 3:
-        description = fmi3_description(traced, modes, GUID)
+        description = fmi3_description(traced, modes, GUID, scalars)
     else:
         known = (*block.of_causality("input"), *block.states)
         present = modes.exchange.dependencies(known)
@@ -59,7 +62,7 @@ def native_members(traced: "Traced", reals_only: bool = False, fmi: int = 2) -> 
         description = model_description(block, GUID, _OF_CO_SIMULATION, initial, exchange, files)
     members = {
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
-        **documentation(block, *files, reals_only=reals_only, fmi=fmi),
+        **documentation(block, *files, reals_only=reals_only, fmi=fmi, scalars=scalars),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64", fmi=fmi),
         "sources/buildDescription.xml": _build_description(block.name, files, fmi),
         **bill_of_materials(block, {}, fmi),

@@ -105,6 +105,7 @@ def build_block(
     with_terminals: bool = False,
     reals_only: bool = False,
     fmi: int = 2,
+    scalars: bool = False,
 ) -> Path:
     """Writes `folder/NAME.fmu` of a block, in place of a file that is there, and returns its path.
 
@@ -124,6 +125,8 @@ def build_block(
         Whether every variable is a Real, for importers that support no other type; native flavour alone.
     fmi : int
         Version of the standard, 2 or 3; 3 in the native flavour alone.
+    scalars : bool
+        Whether the elements of arrays are variables, for importers of FMI 3.0 without arrays.
 
     Raises
     ------
@@ -132,7 +135,9 @@ def build_block(
     """
     traced = verified(load_block(block)) if isinstance(block, str) else trace(block)
     name = traced.block.name
-    order = BuildRequest(name, folder, flavour, tuple(platforms), with_terminals, reals_only, fmi=fmi)
+    order = BuildRequest(
+        name, folder, flavour, tuple(platforms), with_terminals, reals_only, fmi=fmi, scalars=scalars
+    )
     with ExitStack() as stack:
         return next(iter(_written(_compiling(_content(traced, order), stack))))
 
@@ -172,13 +177,16 @@ def _content(traced: Traced, order: BuildRequest) -> _Content:
         raise ExportError(
             f"FMI {order.fmi}.0 in the {order.flavour} flavour: expected FMI 2.0, or 3.0 in native"
         )
+    if order.scalars and order.fmi != 3:
+        raise ExportError("an FMU of scalars: expected FMI 3.0; FMI 2.0 has no arrays")
     if order.platforms and not is_native:
         raise ExportError(
             "platforms of the python flavour: expected none, its libraries are PythonFMU's; "
             "the native flavour is compiled for each"
         )
-    made = native_members(traced, order.reals_only, order.fmi) if is_native else python_members(traced)
-    return _Content(traced, order, *made)
+    if not is_native:
+        return _Content(traced, order, *python_members(traced))
+    return _Content(traced, order, *native_members(traced, order.reals_only, order.fmi, order.scalars))
 
 
 def _compiling(content: _Content, stack: ExitStack) -> _Compiling:
@@ -193,7 +201,8 @@ def _compiling(content: _Content, stack: ExitStack) -> _Compiling:
     reference = _reference_run(block)
     shown = {_ICONS[order.fmi]: icon(block)} | reference_results.members(reference, block.name)
     if order.with_terminals or order.fmi == 3:
-        shown |= terminals(block, variable_names) if order.fmi == 3 else terminals(block)
+        has_arrays = order.fmi == 3 and not order.scalars
+        shown |= terminals(block, variable_names) if has_arrays else terminals(block)
     return _Compiling(content, compared, reference, shown, libraries)
 
 

@@ -41,6 +41,7 @@ class BuildRequest:
     source: name of an installed block, or path of a Python file; platforms: by default this one
     with_cross_check: with the files of the FMI cross-check beside each FMU
     fmi: the version of the standard, 2 or 3
+    scalars: whether the elements of arrays are variables of FMI 3.0
     """
 
     source: str
@@ -51,6 +52,7 @@ class BuildRequest:
     reals_only: bool = False
     with_cross_check: bool = False
     fmi: int = 2
+    scalars: bool = False
 
     @property
     def file(self) -> str:
@@ -153,7 +155,7 @@ class BuildCache:
         options = order.flavour, order.platforms, order.with_terminals, order.reals_only, order.fmi
         host = sys.version, sys.flags.optimize, sys.platform, platform.machine()
         date = os.environ.get("SOURCE_DATE_EPOCH")
-        parts = str(order.folder.absolute()), self._origin(order), *options, *host, date
+        parts = str(order.folder.absolute()), self._origin(order), *options, order.scalars, *host, date
         return store.digest(*parts, self._libraries, self._own_files[1])
 
     def _origin(self, order: BuildRequest) -> str:

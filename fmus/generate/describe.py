@@ -253,8 +253,9 @@ def _structure(root: Any, block: Block, present: Dependencies, initial: Dependen
             _add(section, "Unknown", index=str(unknown + 1), dependencies=indices)
 
 
-# FMI 3.0.2, where it has more than FMI 2.0: the scalars of an array are one variable, with the value
-# reference of the first. Time and event indicators are variables, with the last value references.
+# FMI 3.0.2, where it has more than FMI 2.0: the scalars of an array are one variable. Time and event
+# indicators are the last variables. A value reference is the place of its variable, counted from 1, since
+# OMSimulator 3 takes `dependencies` and `derivative` for such places.
 
 TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 _CAPABILITIES_3 = {
@@ -335,15 +336,22 @@ def _common(v: BlockVariable) -> tuple[Any, ...]:
     return (v.type, v.variability, v.unit, v.display_unit, v.minimum, v.maximum, v.nominal, v.enumeration)
 
 
-def extents(traced: "Traced") -> list[int]:
-    """Returns by value reference the scalar count of the variable that begins there, 0 inside an array."""
-    block = traced.block
-    scalars = [group for *_, group in arrays((*block.variables, *block.states, *other_variables(traced)))]
-    return [extent for group in scalars for extent in (len(group), *[0] * (len(group) - 1))]
+def fmi3_variables(
+    traced: "Traced", scalars: bool = False
+) -> list[tuple[str, list[int], list[BlockVariable]]]:
+    """Returns name, dimensions and scalars of each variable, in the order of ModelVariables.
+
+    scalars: whether the elements of arrays are variables
+    """
+    described = (*traced.block.variables, *traced.block.states, *other_variables(traced))
+    return [(v.name, [], [v]) for v in described] if scalars else [*arrays(described)]
 
 
-def fmi3_description(traced: "Traced", modes: "Sensitivities", token: str) -> bytes:
-    """Returns the XML of FMI 3.0 of a block; token: the instantiation token.
+def fmi3_description(traced: "Traced", modes: "Sensitivities", token: str, scalars: bool = False) -> bytes:
+    """Returns the XML of FMI 3.0 of a block.
+
+    token: the instantiation token
+    scalars: whether the elements of arrays are variables
 
     Raises ExportError for a unit that `fmus.block.units` does not define.
     """
@@ -357,33 +365,31 @@ def fmi3_description(traced: "Traced", modes: "Sensitivities", token: str) -> by
     _add_enumerations(root, block, lambda parent, **named: _add(parent, "EnumerationType", **named))
     _add_experiment(root, block)
     variables = _add(root, "ModelVariables")
-    groups = [*arrays((*block.variables, *block.states, *others))]
+    groups = fmi3_variables(traced, scalars)
+    places = {v.value_reference: place for place, (*_, members) in enumerate(groups, 1) for v in members}
     for name, shape, (v, *rest) in groups:
         of_state = v.value_reference - len(block.variables)
         of_all, of_type = _attributes_of(name, (v, *rest))
+        of_all["valueReference"] = str(places[v.value_reference])
         if traced.restarted.intersection(scalar.value_reference for scalar in (v, *rest)):
             of_type["reinit"] = "true"
         elif count <= of_state < 2 * count:
-            of_type["derivative"] = str(v.value_reference - count)
+            of_type["derivative"] = str(places[v.value_reference - count])
         elif v.causality in ("input", "output") and v.variability == "continuous":
             of_type["intermediateUpdate"] = "true"
         variable = _add(variables, TYPES[v.type], **of_all, **of_type)
         for size in shape:
             _add(variable, "Dimension", start=str(size))
-    _add_structure(_add(root, "ModelStructure"), traced, modes, groups)
+    _add_structure(_add(root, "ModelStructure"), traced, modes, places)
     return _parsable(root, block)
 
 
 def _add_structure(
-    structure: Any,
-    traced: "Traced",
-    modes: "Sensitivities",
-    groups: Sequence[tuple[str, list[int], list[BlockVariable]]],
+    structure: Any, traced: "Traced", modes: "Sensitivities", places: Mapping[int, int]
 ) -> None:
-    first = {v.value_reference: scalars[0].value_reference for *_, scalars in groups for v in scalars}
-    present, initial = (_of_arrays(mode, first) for mode in ((modes.step, modes.exchange), (modes.initial,)))
-    outputs = {first[v.value_reference] for v in traced.block.of_causality("output")}
-    indicators = [v for v in other_variables(traced) if v.causality == "local"]
+    present, initial = (_of_arrays(mode, places) for mode in ((modes.step, modes.exchange), (modes.initial,)))
+    outputs = {places[v.value_reference] for v in traced.block.of_causality("output")}
+    indicators = {places[v.value_reference] for v in other_variables(traced) if v.causality == "local"}
     for tag, known in (
         ("Output", {r: known for r, known in present.items() if r in outputs}),
         ("ContinuousStateDerivative", {r: known for r, known in present.items() if r not in outputs}),
@@ -393,14 +399,14 @@ def _add_structure(
             _add(
                 structure, tag, valueReference=str(reference), dependencies=" ".join(map(str, sorted(behind)))
             )
-    for v in indicators[:1]:
-        _add(structure, "EventIndicator", valueReference=str(v.value_reference))
+    for reference in sorted(indicators):
+        _add(structure, "EventIndicator", valueReference=str(reference))
 
 
-def _of_arrays(modes: Iterable["Mode"], first: Mapping[int, int]) -> dict[int, set[int]]:
+def _of_arrays(modes: Iterable["Mode"], places: Mapping[int, int]) -> dict[int, set[int]]:
     """Returns the dependencies between whole variables that hold in one of the modes."""
     found: dict[int, set[int]] = {}
     for mode in modes:
         for unknown, known in mode.dependencies().items():
-            found.setdefault(first[unknown], set()).update(first[reference] for reference in known)
+            found.setdefault(places[unknown], set()).update(places[reference] for reference in known)
     return found

@@ -26,7 +26,7 @@ from fmus.fmi.fmi3 import Fmi3Library
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
 from fmus.generate.c_code import c_code
 from fmus.generate.derivatives import Sensitivities
-from fmus.generate.describe import extents, other_variables
+from fmus.generate.describe import fmi3_variables, other_variables
 from fmus.generate.trace import Traced
 from fmus.native.toolchain import compiling
 from fmus.platforms import check_platforms, host_platform, library_name
@@ -37,9 +37,9 @@ _WORD = 32
 _SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys(
     ("tunable", "discrete"), "AT_POINTS"
 )
-_EXTENTS = """
-/* By value reference: how many elements the variable has that begins there, 0 inside an array. */
-static const unsigned EXTENTS[] = {{{}}};
+_FIRST = """
+/* By value reference, from 1: index of its first scalar in these tables; last, the number of scalars. */
+static const unsigned FIRST[] = {{0, {}, sizeof VARIABLES / sizeof *VARIABLES}};
 """
 
 
@@ -65,16 +65,24 @@ def compiled_libraries(
 
 
 def c_sources(
-    traced: Traced, modes: Sensitivities, guid: str, reals_only: bool = False, fmi: int = 2
+    traced: Traced,
+    modes: Sensitivities,
+    guid: str,
+    reals_only: bool = False,
+    fmi: int = 2,
+    scalars: bool = False,
 ) -> dict[str, str]:
     """Returns file name -> text of the FMU's folder `sources`: all but FMI's own headers (2.3).
 
     reals_only: whether every variable is a Real; items, truth values and Integers are then whole numbers
+    scalars: whether the elements of arrays are variables of FMI 3.0
     """
     layer = resources.files("fmus") / "native"
     texts = dict(_included(layer, COMPILED[fmi][0]))
+    places = [str(members[0].value_reference) for *_, members in fmi3_variables(traced, scalars)]
+    first = _FIRST.format(", ".join(places)) if fmi == 3 else ""
     template = Template((layer / "model.h.in").read_text("utf-8"))
-    model = template.substitute(_tables(traced, reals_only, fmi), guid=guid)
+    model = template.substitute(_tables(traced, reals_only, fmi), guid=guid, first=first)
     return texts | {"model.h": model} | c_code(traced, modes.functions(fmi))
 
 
@@ -112,7 +120,6 @@ def _tables(traced: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "step_size": repr(float(block.step_size)),
         "fmi": fmi,
         "others": len(others),
-        "extents": _EXTENTS.format(", ".join(map(str, extents(traced)))) if fmi == 3 else "",
         "has_derivative": int(block.derivative is not None),
         "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
         "variables": ",\n".join(_row(v, reals_only) for v in described),

@@ -23,6 +23,10 @@
 #include "updates.h"
 #include "values.h"
 
+enum { N_REFERENCES = sizeof FIRST / sizeof *FIRST - 2 };
+
+static int is_variable(unsigned reference) { return reference > 0 && reference <= N_REFERENCES; }
+
 /* 2.2.5: in every state, also without an instance. */
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
@@ -75,7 +79,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String instanceName, fmi3String ins
     if (nRequiredIntermediateVariables && !requiredIntermediateVariables)
         return cannot_instantiate(&log, "%s: requiredIntermediateVariables is NULL", function);
     for (size_t i = 0; i < nRequiredIntermediateVariables; i++)
-        if (!is_intermediate(requiredIntermediateVariables[i]))
+        if (!is_variable(requiredIntermediateVariables[i]) || !is_intermediate(FIRST[requiredIntermediateVariables[i]]))
             return cannot_instantiate(&log, "%s: value reference %u: expected a variable with intermediateUpdate",
                                       function, requiredIntermediateVariables[i]);
     Instance *instance =
@@ -106,8 +110,6 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefi
     return status;
 }
 
-/* An array is one variable. It has the value reference of its first element, whose other elements follow (2.2.7.1). */
-
 /* Whether these are variables of a type, `n` numbers in all. */
 static int are_elements(Instance *instance, int modes, Type type, const fmi3ValueReference vr[], size_t nvr,
                         const void *values, size_t n, const char *function) {
@@ -115,16 +117,15 @@ static int are_elements(Instance *instance, int modes, Type type, const fmi3Valu
     if (!is_allowed(instance, modes, function)) return 0;
     if (!are_given(instance, vr, nvr, values, function)) return 0;
     for (size_t i = 0; i < nvr; i++) {
-        if (!has_type(vr[i], type)) return not_of_type(instance, type, vr[i], function), 0;
-        if (!EXTENTS[vr[i]]) {
-            refuse(instance, fmi3Error, "%s: value reference %u: expected the first element of an array, not %s",
-                   function, vr[i], VARIABLES[vr[i]].name);
-            return 0;
-        }
-        if (instance->data.mode & INSIDE_STEPS && !is_intermediate(vr[i]))
+        if (!is_variable(vr[i]))
+            return refuse(instance, fmi3Error, "%s: value reference %u: expected 1..%d of " MODEL_NAME, function, vr[i],
+                          N_REFERENCES), 0;
+        const unsigned first = FIRST[vr[i]];
+        if (!are_of_type(instance, type, &first, 1, function)) return 0;
+        if (instance->data.mode & INSIDE_STEPS && !is_intermediate(first))
             return refuse(instance, fmi3Error, "%s: %s: expected a variable with intermediateUpdate", function,
-                          VARIABLES[vr[i]].name), 0;
-        expected += EXTENTS[vr[i]];
+                          VARIABLES[first].name), 0;
+        expected += FIRST[vr[i] + 1] - first;
     }
     if (n == expected) return 1;
     refuse(instance, fmi3Error, "%s: %lu values: expected %lu", function, (unsigned long)n, (unsigned long)expected);
@@ -134,7 +135,10 @@ static int are_elements(Instance *instance, int modes, Type type, const fmi3Valu
 static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueReference vr[], size_t nvr,
                             const void *values, size_t n, const char *function) {
     if (!are_elements(instance, READABLE | UPDATE_OF_OUTPUTS, type, vr, nvr, values, n, function)) return fmi3Error;
-    return instance->data.outputs_are_stale ? refreshed(instance, type, vr, nvr, function) : fmi3OK;
+    fmi3Status status = fmi3OK;
+    for (size_t i = 0; i < nvr && status == fmi3OK && instance->data.outputs_are_stale; i++)
+        status = refreshed(instance, type, FIRST + vr[i], 1, function);
+    return status;
 }
 
 /* 2.2.7.2; 2.3, 4.2: from instantiation on. */
@@ -144,8 +148,8 @@ static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueRefere
         const fmi3Status status = check_get(c, TYPE, vr, nvr, values, nValues, "fmi3Get" #Name);               \
         if (status != fmi3OK) return status;                                                                   \
         for (size_t i = 0; i < nvr; i++)                                                                       \
-            for (unsigned j = 0; j < EXTENTS[vr[i]]; j++)                                                      \
-                *values++ = (fmi3##Name)((Instance *)c)->data.value[vr[i] + j];                                \
+            for (unsigned r = FIRST[vr[i]]; r < FIRST[vr[i] + 1]; r++)                                         \
+                *values++ = (fmi3##Name)((Instance *)c)->data.value[r];                                        \
         return fmi3OK;                                                                                         \
     }
 
@@ -159,11 +163,11 @@ static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueRefere
         const fmi3##Name *value = values;                                                                      \
         if (!are_elements(instance, ALWAYS, TYPE, vr, nvr, values, nValues, function)) return fmi3Error;       \
         for (size_t i = 0; i < nvr; i++)                                                                       \
-            for (fmi3ValueReference r = vr[i]; r < vr[i] + EXTENTS[vr[i]]; r++, value++)                       \
+            for (unsigned r = FIRST[vr[i]]; r < FIRST[vr[i] + 1]; r++, value++)                                \
                 if (!can_be_set(&instance->data, r, TYPE, (double)*value))                                     \
                     return cannot_be_set(instance, TYPE, &r, 1, 0, (double)*value, function);                  \
         for (size_t i = 0; i < nvr; i++)                                                                       \
-            for (unsigned r = vr[i]; r < vr[i] + EXTENTS[vr[i]]; r++)                                          \
+            for (unsigned r = FIRST[vr[i]]; r < FIRST[vr[i] + 1]; r++)                                         \
                 data_set(&instance->data, &instance->step_cache, (int)r, (double)*values++);                   \
         return fmi3OK;                                                                                         \
     }
@@ -183,12 +187,13 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
     double locals[N_VARIABLES - N_VALUES];
     int are_local = 0;
     fmi3Status status = check_get(c, REAL, vr, nvr, values, nValues, function);
-    for (size_t i = 0; status == fmi3OK && i < nvr; i++) are_local |= vr[i] >= N_VALUES;
+    for (size_t i = 0; status == fmi3OK && i < nvr; i++) are_local |= FIRST[vr[i]] >= N_VALUES;
     if (are_local) status = get_locals(c, locals, function);
     if (status != fmi3OK) return status;
     for (size_t i = 0; i < nvr; i++) {
-        const double *from = vr[i] < N_VALUES ? ((Instance *)c)->data.value + vr[i] : locals + (vr[i] - N_VALUES);
-        for (unsigned j = 0; j < EXTENTS[vr[i]]; j++) *values++ = from[j];
+        const unsigned first = FIRST[vr[i]];
+        const double *from = first < N_VALUES ? ((Instance *)c)->data.value + first : locals + (first - N_VALUES);
+        for (unsigned j = first; j < FIRST[vr[i] + 1]; j++) *values++ = *from++;
     }
     return fmi3OK;
 }
@@ -212,8 +217,8 @@ static int is_unknown(unsigned reference, int is_initial) {
 static int are_roles(Instance *instance, const fmi3ValueReference vr[], size_t nvr, int (*has_role)(unsigned, int),
                      const char *role, const char *function) {
     for (size_t i = 0; i < nvr; i++) {
-        if (has_role(vr[i], instance->data.mode == INITIALIZATION)) continue;
-        refuse(instance, fmi3Error, "%s: %s is no %s in this mode", function, VARIABLES[vr[i]].name, role);
+        if (has_role(FIRST[vr[i]], instance->data.mode == INITIALIZATION)) continue;
+        refuse(instance, fmi3Error, "%s: %s is no %s in this mode", function, VARIABLES[FIRST[vr[i]]].name, role);
         return 0;
     }
     return 1;
@@ -241,10 +246,10 @@ static fmi3Status derive(Instance *instance, int is_adjoint, const fmi3ValueRefe
         if (status != fmi3OK) return status;
     }
     for (size_t i = 0; i < nFrom; i++)
-        for (unsigned j = 0; j < EXTENTS[from[i]]; j++) along[from[i] + j] += *seed++;
+        for (unsigned r = FIRST[from[i]]; r < FIRST[from[i] + 1]; r++) along[r] += *seed++;
     functions[data_derived_in(d)][is_adjoint](d->time, d->state, d->value + FIRST_INPUT, d->value, along, result);
     for (size_t i = 0; i < nTo; i++)
-        for (unsigned j = 0; j < EXTENTS[to[i]]; j++) *sensitivity++ = result[to[i] + j];
+        for (unsigned r = FIRST[to[i]]; r < FIRST[to[i] + 1]; r++) *sensitivity++ = result[r];
     return fmi3OK;
 }
 

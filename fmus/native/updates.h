@@ -7,7 +7,7 @@
 
 /* The variables with the attribute intermediateUpdate: continuous inputs and outputs. */
 static int is_intermediate(unsigned reference) {
-    return reference >= FIRST_INPUT && reference < N_VALUES && ACCESS[reference].is_continuous && EXTENTS[reference];
+    return reference >= FIRST_INPUT && reference < N_VALUES && ACCESS[reference].is_continuous;
 }
 
 /* One internal step of `data_step`, with the outputs at its end. */

@@ -116,6 +116,13 @@ def build(
             help="Version of the standard: FMI 2.0, or FMI 3.0 in fmus-built/fmi3. Native FMUs only.",
         ),
     ] = 2,
+    scalars: Annotated[
+        bool,
+        typer.Option(
+            "--scalars",
+            help="With --fmi 3, write voltage[1], ... in place of the array voltage (Ecos, CasADi).",
+        ),
+    ] = False,
 ) -> None:
     """Build the FMU of each block, NAME.fmu.
 
@@ -129,7 +136,7 @@ def build(
     if platform in MICROCONTROLLERS:
         unused = {"--flavour": flavour is not Flavour.NATIVE, "--cache": cache, "--terminals": terminals}
         unused |= {"--reals-only": reals_only, "--with-reference": with_reference, "--fmi": fmi != 2}
-        refuse_without_effect(f"--platform {platform}", unused)
+        refuse_without_effect(f"--platform {platform}", unused | {"--scalars": scalars})
         _write_firmware(names or block_names(), out or _FOLDERS[flavour] / platform, platform)
         return
     given = [name.strip() for name in platform.split(",")] if platform else ()
@@ -142,7 +149,7 @@ def build(
     if classes:
         unused = {"--platform": platform, "--all-platforms": all_platforms, "--terminals": terminals}
         unused |= {"--reals-only": reals_only, "--with-reference": with_reference, "--fmi": fmi != 2}
-        refuse_without_effect(f"{classes[0]}, a Python class", unused)
+        refuse_without_effect(f"{classes[0]}, a Python class", unused | {"--scalars": scalars})
     refused: dict[str, ExportError] = {}
     for name in classes:
         try:
@@ -150,7 +157,9 @@ def build(
         except ExportError as error:
             refused[name] = error
     requests = [
-        BuildRequest(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference, fmi)
+        BuildRequest(
+            name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference, fmi, scalars
+        )
         for name in names or block_names()
         if name not in classes
     ]

@@ -38,6 +38,13 @@ def fmi3(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
+def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("scalars")
+    blocks = {name: builder.load_block(name) for name in builder.block_names()}
+    return {name: builder.build_block(block, folder, fmi=3, scalars=True) for name, block in blocks.items()}
+
+
+@pytest.fixture(scope="module")
 def ours(built: Fmus) -> np.ndarray:
     system = System({name: built[name] for name in NAMES}, [*DEPTHS, *ELEMENTS])
     experiment = Experiment(stop_time=STEPS * STEP, step_size=STEP, open_inputs="start")
@@ -67,6 +74,17 @@ def test_ecos_mixes_both_standards(built: Fmus, fmi3: dict[str, Path], ours: np.
     mixed = {name: (fmi3 if name in (CONTROLLER, REFERENCE) else built)[name] for name in NAMES}
     values = answer(run_in_ecos, loop(mixed, *ELEMENTS))
     assert np.ptp(values) > 0.1
+    np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
+
+
+def test_ecos_connects_scalars_of_fmi_3(of_scalars: dict[str, Path], ours: np.ndarray) -> None:
+    """Every block is a component; four of them are connected."""
+    values = answer(run_in_ecos, loop(of_scalars, *ELEMENTS))
+    np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
+
+
+def test_fmucontainer_connects_scalars_of_fmi_3(of_scalars: dict[str, Path], ours: np.ndarray) -> None:
+    values = answer(run_in_container, loop({name: of_scalars[name] for name in NAMES}, *ELEMENTS), 3)
     np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
 
 

@@ -50,13 +50,14 @@ _CONNECTED = ("Variable here", "Direction", "Variable there", "FMU there (one of
 
 
 def documentation(
-    block: Block, compiled: str = "", reals_only: bool = False, fmi: int = 2
+    block: Block, compiled: str = "", reals_only: bool = False, fmi: int = 2, scalars: bool = False
 ) -> dict[str, bytes]:
     """Returns path inside the FMU -> content of the page and of the note on the reference results.
 
     compiled: the file of the folder sources that an importer compiles, if there is one
     reals_only: whether every variable is a Real
     fmi: the version of the standard
+    scalars: whether the elements of arrays are variables of FMI 3.0
     """
     templates, experiment = resources.files("fmus.generate.documentation"), block.guide.experiment
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
@@ -75,7 +76,7 @@ def documentation(
         "parameters": _parameters(block, reals_only),
         "signals": "\n".join(_signals(block, reals_only)),
         "guide": _guide(block),
-        "arrays": _ARRAYS[fmi],
+        "arrays": _ARRAYS[2 if scalars else fmi],
         "building": _BUILDING.format(file=compiled, name=block.name, fmi=fmi) if compiled else "",
         "reference_stop_time": experiment.stop_time or block.stop_time,
         "reference_step_size": experiment.step_size or block.step_size,

@@ -142,7 +142,13 @@ def test_a_file_that_comes_or_goes_makes_it_stale(
 
 def test_other_options_make_it_stale(order: BuildRequest) -> None:
     of_platforms = [{"platforms": PLATFORMS}, {"platforms": ("win64",)}]
-    others = {"flavour": Flavour.PYTHON, "with_terminals": True, "reals_only": True, "fmi": 3}
+    others = {
+        "flavour": Flavour.PYTHON,
+        "with_terminals": True,
+        "reals_only": True,
+        "fmi": 3,
+        "scalars": True,
+    }
     for options in (*of_platforms, *({name: value} for name, value in others.items())):
         assert current(BuildRequest(order.source, order.folder, **options)) is None, options
 

@@ -1,6 +1,7 @@
 """A native FMU beside its model: what each rule of the state machine is made of."""
 
 import math
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from hypothesis import strategies as st
@@ -39,9 +40,8 @@ class Beside(RuleBasedStateMachine):
         self.states: dict[int, Data] = {}
         self.buffers: list[tuple[list[int], Data]] = []
         model = self.model(self.block, False)
-        self.variables = [v for v in self.block.variables if model.is_variable(v.value_reference)]
+        self.variables = [v for v in self.block.variables if model.reference(v) is not None]
         self.by_kind = {k: [v for v in self.variables if model.kinds[v.type] == k] for k in "RIBE"}
-        self.elements = [v.value_reference for v in self.block.variables if v not in self.variables]
         self.kinds = [k for k in "RIBE" if self.by_kind[k]]
 
     def enter(self, slot: int, *setup: Any) -> None:
@@ -92,9 +92,8 @@ class Beside(RuleBasedStateMachine):
         """What was set can be read always, what is calculated unless the parameters contradict each other."""
         model = self.models[slot]
         for kind in self.kinds:
-            every = [v.value_reference for v in self.by_kind[kind]]
-            for chosen in filter(model.is_settable, every), (r for r in every if not model.is_settable(r)):
-                references = list(chosen)
+            for settable in (True, False):
+                references = self.references(v for v in self.by_kind[kind] if v.settable == settable)
                 expected = model.get(kind, references, True)
                 answer = self.send("get", kind, references, f"+{model.count(references)}", slot=slot)
                 assert answer.status == expected[0]
@@ -164,7 +163,10 @@ class Beside(RuleBasedStateMachine):
 
     def some(self, data: Any, variables: list[BlockVariable]) -> list[int]:
         chosen = data.draw(st.lists(st.sampled_from(variables), max_size=4)) if variables else []
-        return [v.value_reference for v in chosen]
+        return self.references(chosen)
+
+    def references(self, variables: Iterable[BlockVariable]) -> list[int]:
+        return [r for v in variables if (r := self.models[0].reference(v)) is not None]
 
     def settable(self, kind: str) -> list[BlockVariable]:
         return [v for v in self.by_kind[kind] if v.settable]
@@ -173,9 +175,9 @@ class Beside(RuleBasedStateMachine):
         """Now and then a value reference of any type or none among them."""
         if data.draw(st.integers(0, 9)) != 4:
             return references
-        beyond = self.models[0].beyond(), 2**31, 2**32 - 1
-        places = (0, len(self.block.variables) - 1, *beyond, *4 * self.elements)
-        return [*references, data.draw(st.sampled_from(places))]
+        beyond = self.models[0].beyond()
+        others = (0, len(self.variables) - 1, beyond, 2**31, 2**32 - 1)
+        return [*references, data.draw(st.sampled_from(others))]
 
     def array(self, data: Any, items: list) -> list:
         """Now and then NULL."""

@@ -14,9 +14,10 @@ from typing import ClassVar
 import casadi
 
 from fmus.block import Block
+from fmus.block.variables import BlockVariable
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
 from fmus.generate.derivatives import Sensitivities
-from fmus.generate.describe import extents
+from fmus.generate.describe import fmi3_variables
 from fmus.generate.trace import Traced
 
 from .session import DISCARD, ENDED, ERROR, LAST_TIME, OK, WARNING, Null
@@ -92,9 +93,9 @@ class Model:
 
     # variables and values
 
-    def is_variable(self, reference: int) -> bool:
-        """Whether it is a value reference of the model description."""
-        return True
+    def reference(self, v: BlockVariable) -> int | None:
+        """Returns the value reference; None for an element of an array but the first."""
+        return v.value_reference
 
     def beyond(self) -> int:
         """Returns a value reference after the last one."""
@@ -342,14 +343,15 @@ class Model:
 
 
 class Model3(Model):
-    """One instance of FMI 3.0.2, where it is not as in 2.0: value references are those of whole arrays."""
+    """One instance of FMI 3.0.2, where it is not as in 2.0: value references are places of whole arrays."""
 
     fmi: ClassVar[int] = 3
     kinds: ClassVar[dict[str, str]] = {name: name[0] for name in TYPES}
 
     def __init__(self, block: Block, logging: bool) -> None:
         super().__init__(block, logging)
-        self.extents = extents(self._traced)
+        groups = [[v.value_reference for v in members] for *_, members in fmi3_variables(self._traced)]
+        self.members = dict(enumerate(groups, 1))
         self.log = set(ALL) if logging else set()
 
     def scalars(self, references: list[int]) -> list[int]:
@@ -357,15 +359,15 @@ class Model3(Model):
             return references
         found: list[int] = []
         for r in references:
-            extent = self.extents[r] if r < len(self.extents) else 0
-            found += range(r, r + extent) if extent else [NO_VARIABLE]
+            found += self.members.get(r, [NO_VARIABLE])
         return found
 
-    def is_variable(self, reference: int) -> bool:
-        return self.extents[reference] > 0
+    def reference(self, v: BlockVariable) -> int | None:
+        places = {members[0]: place for place, members in self.members.items()}
+        return places.get(v.value_reference)
 
     def beyond(self) -> int:
-        return len(self.extents)
+        return len(self.members) + 1
 
     def count(self, references: list[int]) -> int:
         """Without numbers for what is no variable."""

@@ -70,7 +70,8 @@ class Calls(Beside):
         references = self.some(data, self.settable(kind))
         mode = self.models[slot].data.mode
         if mode == STEPPING and not data.draw(SELDOM):
-            references = [r for r in references if self.block.variables[r].variability != "fixed"]
+            fixed = self.references(v for v in self.variables if v.variability == "fixed")
+            references = [r for r in references if r not in fixed]
         scalars = self.models[slot].scalars(references)
         values = [data.draw(st.sampled_from(_acceptable(self.block.variables[r]))) for r in scalars]
         if refused == 3 and scalars and kind in self.refusable:
@@ -143,9 +144,8 @@ class Calls(Beside):
         """Two steps with every unlimited input at a value or, in FMI 2.0, on its way there; some diverge."""
         if not self.is_time(data, slot, STEPPING):
             return
-        inputs = [
-            v.value_reference for v in self.by_kind["R"] if v.causality == "input" and v.minimum is None
-        ]
+        free = (v for v in self.by_kind["R"] if v.causality == "input" and v.minimum is None)
+        inputs = self.references(free)
         self.push(data, slot, inputs, [value] * self.models[slot].count(inputs))
         for steps in (2.0, 1.0):
             self.take_step(slot, steps)
@@ -288,7 +288,8 @@ class Calls3(Calls):
     def get_time(self, slot: int) -> None:
         model = self.models[slot]
         expected = model.refuse() if model.contradicts() else (OK, [model.data.time])
-        time = len(self.block.variables) + len(self.block.states)
+        scalar = len(self.block.variables) + len(self.block.states)
+        (time,) = [r for r in range(1, model.beyond()) if model.scalars([r]) == [scalar]]
         self.state_call(slot, "get", ("R", [time], "+1"), expected)
 
     def instantiate(self, slot: int, name: str, logging: bool) -> None:

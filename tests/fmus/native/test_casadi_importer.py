@@ -67,23 +67,27 @@ def output(t: float, state: State, p: Parameters, c: NoValues) -> Outputs:
 DRIFT = Block.of_module(__name__, "Drift", "A vehicle in a current, of scalars alone")
 
 Open = Callable[[str, int], tuple[Block, casadi.DaeBuilder]]
-CASES = [("RovDepthPlant", 2), ("Drift", 2), ("Drift", 3)]
+CASES = [("RovDepthPlant", 2), ("Drift", 2), ("Drift", 3), ("RovDepthPlant", 3)]
 
 
 @pytest.fixture(scope="module")
-def drift(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
-    """FMUs of `DRIFT` by version of FMI."""
-    folder = tmp_path_factory.mktemp("drift")
-    return {fmi: builder.build_block(DRIFT, folder / f"fmi{fmi}", fmi=fmi) for fmi in (2, 3)}
+def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Path]:
+    """FMUs by name and version of FMI, of scalars alone."""
+    folder = tmp_path_factory.mktemp("scalars")
+    blocks = {name: DRIFT if name == "Drift" else builder.load_block(name) for name, _ in CASES}
+    return {
+        (name, fmi): builder.build_block(blocks[name], folder / f"fmi{fmi}", fmi=fmi, scalars=fmi == 3)
+        for name, fmi in CASES
+    }
 
 
 @pytest.fixture
-def imported(built: Fmus, fmi3_built: Fmus, drift: dict[int, Path], tmp_path: Path) -> Open:
+def imported(fmi3_built: Fmus, of_scalars: dict[tuple[str, int], Path], tmp_path: Path) -> Open:
     """Returns a block and its FMU as CasADi reads it."""
 
     def one(name: str, fmi: int) -> tuple[Block, casadi.DaeBuilder]:
         block = DRIFT if name == "Drift" else builder.load_block(name)
-        path = drift[fmi] if name == "Drift" else (built if fmi == 2 else fmi3_built)[name]
+        path = of_scalars.get((name, fmi)) or fmi3_built[name]
         folder = fmpy.extract(str(path), str(tmp_path / "unpacked"))
         return block, casadi.DaeBuilder(name, str(folder))
 

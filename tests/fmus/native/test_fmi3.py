@@ -26,6 +26,8 @@ from fmus.generate import builder
 from fmus.generate.describe import arrays, variable_names
 from fmus.native import toolchain
 from fmus.registry import Flavour
+from orchestration import System, simulate
+from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Fmus, slow_but
 
 from .blocks import EVERYTHING, Mode, block_named, in_fmi3
@@ -79,6 +81,80 @@ def test_its_scalars_have_the_value_references_of_fmi_2(built: Fmus, fmi3_built:
 
 
 WITH_EVENTS = EVERYTHING.name, BALL.name, TANK.name
+
+
+def places(path: Path) -> dict[str, str]:
+    """Name -> place among the variables of an FMU, counted from 1, once it is the value reference."""
+    with zipfile.ZipFile(path) as archive:
+        variables = ElementTree.fromstring(archive.read("modelDescription.xml")).find("ModelVariables")
+    assert variables is not None
+    assert [v.get("valueReference") for v in variables] == [str(i + 1) for i in range(len(variables))]
+    return {v.get("name", ""): v.get("valueReference", "") for v in variables}
+
+
+@pytest.mark.parametrize("name", [*builder.block_names(), *WITH_EVENTS])
+def test_a_value_reference_is_the_place_among_the_variables(fmi3_built: Fmus, name: str) -> None:
+    """So is the reference of the time, and a derivative names its state by it."""
+    found = places(fmi3_built[name])
+    description: Any = fmpy.read_model_description(str(fmi3_built[name]), validate=False)
+    assert "time" in found
+    for v in description.modelVariables:
+        state = v.name.removeprefix("der(").removesuffix(")")
+        assert str(v.derivative and v.derivative.valueReference) == found.get(
+            state if v.derivative else "", "None"
+        )
+        assert (v.derivative is not None) == v.name.startswith("der(")
+
+
+@pytest.fixture(scope="module")
+def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("scalars")
+    return {
+        block.name: builder.build_block(block, folder, fmi=3, scalars=True)
+        for block in map(block_named, ("RovDepthPlant", BALL.name))
+    }
+
+
+@pytest.mark.parametrize("name", ["RovDepthPlant", BALL.name])
+def test_scalars_are_variables_with_the_numbers_of_the_arrays(
+    of_scalars: dict[str, Path], fmi3_built: Fmus, small_built: Fmus, built: Fmus, name: str
+) -> None:
+    """Names are those of FMI 2.0; FMPy, the schema and the rules of the check find nothing wrong."""
+    path = of_scalars[name]
+    old = describe((small_built if name == BALL.name else built)[name])
+    others = {v for v in places(path) if v == "time" or v.startswith("event.indicators[")}
+    assert {*places(path)} - others == {v.name for v in old.modelVariables}
+    with zipfile.ZipFile(path) as archive:
+        members = {member: archive.read(member) for member in archive.namelist()}
+    assert b"<Dimension" not in members["modelDescription.xml"]
+    assert b"name[1] and name[2]" in members["documentation/index.html"]
+    terminals = ElementTree.fromstring(members["terminalsAndIcons/terminalsAndIcons.xml"])
+    assert {m.get("variableName") for m in terminals.iter("TerminalMemberVariable")} <= {*places(path)}
+    assert validate_fmu(str(path)) == []
+    assert [r.messages for r in examine(path) if r.messages] == []
+    driven = {"it.voltage[2]": 2.0} if name == "RovDepthPlant" else {}
+    one, other = (
+        simulate(System({"it": fmu}), inputs=driven, stop_time=1.0, step_size=0.02, open_inputs="start")
+        for fmu in (path, fmi3_built[name])
+    )
+    assert_same_bits(one, other)
+    assert np.ptp(one.values, axis=0).max() > 0.0
+
+
+def test_scalars_have_derivatives_of_their_own(of_scalars: dict[str, Path], tmp_path: Path) -> None:
+    """Of the force of a thruster by its voltage, which the other one does not change."""
+    plant = Fmi3Instance(of_scalars["RovDepthPlant"], tmp_path, "ModelExchange").begin()
+    force, voltage = (
+        [plant.reference(n.format(i)) for i in (1, 2)]
+        for n in ("der(state.thruster_force[{}])", "voltage[{}]")
+    )
+    slopes = [[plant.fmu.getDirectionalDerivative([f], [v], [1.0], 1)[0] for v in voltage] for f in force]
+    assert slopes[0][0] == slopes[1][1] > 0.0
+    assert slopes[0][1] == slopes[1][0] == 0.0
+    description = plant.description
+    dependencies = {u.variable.name: {v.name for v in u.dependencies} for u in description.derivatives}
+    assert "voltage[1]" in dependencies["der(state.thruster_force[1])"]
+    assert "voltage[2]" not in dependencies["der(state.thruster_force[1])"]
 
 
 @pytest.mark.parametrize("name", slow_but(WITH_EVENTS[:2], [*builder.block_names(), *WITH_EVENTS]))
@@ -185,25 +261,25 @@ def test_a_value_that_is_refused_leaves_all_as_they_were(open_fmi3: Open) -> Non
         (0, ("enterInitializationMode", None, 1.0, 1.0), "stop time 1 s: expected more than the start time"),
         (0, ("enterInitializationMode", None, math.nan), "start time nan s: expected a finite number"),
         (1, ("enterInitializationMode",), "not allowed in the state 'initialization mode'"),
-        (1, ("getOutputDerivatives", [18], [1]), "not allowed in the state 'initialization mode'"),
-        (1, ("getDirectionalDerivative", [18], [19], [1.0, 1.0]), "state.x[1] is no known in this mode"),
+        (1, ("getOutputDerivatives", [11], [1]), "not allowed in the state 'initialization mode'"),
+        (1, ("getDirectionalDerivative", [11], [12], [1.0, 1.0]), "state.x[1] is no known in this mode"),
         (2, ("doStep", 0.0, 3.0), "step to 3 s: expected at most the stop time 2 s"),
         (2, ("enterEventMode",), "expected an instance for model exchange"),
         (2, ("updateDiscreteStates",), "expected an instance for model exchange"),
         (2, ("enterStepMode",), "has no event mode of co-simulation"),
         (2, ("enterConfigurationMode",), "has no structural parameters"),
         (2, ("getClock", [0]), "has no clocks"),
-        (2, ("getFloat64", [0, 99]), "value reference 99: expected 0.."),
-        (2, ("getFloat64", [2]), "expected the first element of an array, not state_matrix[1,2]"),
-        (2, ("getFloat64", [1], 3), "fmi3GetFloat64: 3 values: expected 4"),
-        (2, ("setFloat64", [1], [1.0]), "fmi3SetFloat64: 1 values: expected 4"),
-        (2, ("setFloat64", [16], [0.0, 0.0]), "state[1] can not be set, it is calculated"),
-        (2, ("setFloat64", [23], [0.0]), "time can not be set, it is calculated"),
-        (2, ("setFloat64", [12], [0.0, 0.0]), "initial_state[1] is fixed"),
-        (2, ("getOutputDerivatives", [18], [1]), "ExamplePlant has no derivatives of outputs"),
-        (2, ("getDirectionalDerivative", [14], [14], [1.0]), "control is no unknown in this mode"),
-        (2, ("getAdjointDerivative", [18], [18], [1.0]), "output is no known in this mode"),
-        (2, ("getAdjointDerivative", [18], [14], [1.0, 2.0]), "2 values: expected 1"),
+        (2, ("getFloat64", [1, 15]), "value reference 15: expected 1..14 of ExamplePlant"),
+        (2, ("getFloat64", [0]), "value reference 0: expected 1..14 of ExamplePlant"),
+        (2, ("getFloat64", [2], 3), "fmi3GetFloat64: 3 values: expected 4"),
+        (2, ("setFloat64", [2], [1.0]), "fmi3SetFloat64: 1 values: expected 4"),
+        (2, ("setFloat64", [10], [0.0, 0.0]), "state[1] can not be set, it is calculated"),
+        (2, ("setFloat64", [14], [0.0]), "time can not be set, it is calculated"),
+        (2, ("setFloat64", [7], [0.0, 0.0]), "initial_state[1] is fixed"),
+        (2, ("getOutputDerivatives", [11], [1]), "ExamplePlant has no derivatives of outputs"),
+        (2, ("getDirectionalDerivative", [8], [8], [1.0]), "control is no unknown in this mode"),
+        (2, ("getAdjointDerivative", [11], [11], [1.0]), "output is no known in this mode"),
+        (2, ("getAdjointDerivative", [11], [8], [1.0, 2.0]), "2 values: expected 1"),
         (2, ("setDebugLogging", True, ["logNothing"]), "log category 'logNothing'"),
     ],
 )
@@ -374,6 +450,7 @@ def test_ecos_gives_the_numbers_of_fmi_2(fmi3_built: Fmus, small_built: Fmus) ->
             {"fmi": 3, "reals_only": True},
             "Reals only: expected the native flavour and FMI 2.0",
         ),
+        (Flavour.NATIVE, {"scalars": True}, "an FMU of scalars: expected FMI 3.0; FMI 2.0 has no arrays"),
     ],
 )
 def test_fmi_3_is_for_native_fmus_with_their_types(

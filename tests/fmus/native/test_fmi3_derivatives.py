@@ -12,7 +12,7 @@ import pytest
 from fmus.block import Block
 from fmus.block.variables import BlockVariable
 from fmus.generate import builder
-from fmus.generate.describe import array_name, arrays, other_variables
+from fmus.generate.describe import array_name, arrays, fmi3_variables, other_variables
 from fmus.generate.trace import trace
 
 from .blocks import EVERYTHING, block_named, in_fmi3
@@ -89,9 +89,9 @@ _ROLES = ("parameter", "calculatedParameter", "input", "output")
 def in_arrays(chosen: Sequence[int], block: Block) -> tuple[list[int], list[int]]:
     """Value references of the Float64 variables of some scalars, and the scalars that they are made of."""
     variables, members = [], []
-    for *_, scalars in arrays((*block.variables, *block.states, other_variables(traced(block))[0])):
+    for place, (*_, scalars) in enumerate(fmi3_variables(traced(block)), 1):
         if scalars[0].value_reference in chosen and scalars[0].type == "Real":
-            variables.append(scalars[0].value_reference)
+            variables.append(place)
             members += [v.value_reference for v in scalars]
     return variables, members
 
@@ -176,9 +176,8 @@ def test_what_is_no_dependency_has_no_derivative(open_fmi3: Open, name: str) -> 
     """FMI 3.0.2, 2.4.8, where parameters and the time are knowns too."""
     block = block_named(name)
     description = open_fmi3(name).description
-    described = *block.variables, *block.states, other_variables(traced(block))[0]
-    groups = [[v.value_reference for v in group] for *_, group in arrays(described)]
-    first = {reference: group[0] for group in groups for reference in group}
+    groups = enumerate(fmi3_variables(traced(block)), 1)
+    places = {v.value_reference: place for place, (*_, members) in groups for v in members}
     f = traced(block)
     u, p = ([float(v.start) for v in block.of_causality(role)] for role in ("input", "parameter"))
     x = np.array(f.initial_state(0.5, u, p, f.calculate(p))).ravel() + 0.125
@@ -193,7 +192,7 @@ def test_what_is_no_dependency_has_no_derivative(open_fmi3: Open, name: str) -> 
             one.variable.valueReference: {v.valueReference for v in one.dependencies} for one in listed
         }
         for i, j in zip(*np.nonzero(np.array(derivatives(name)[mode].jacobian(0.5, x, u, p))), strict=True):
-            assert first[columns[j]] in declared[first[rows[i]]], (mode, rows[i], columns[j])
+            assert places[columns[j]] in declared[places[rows[i]]], (mode, rows[i], columns[j])
 
 
 def test_dependencies_are_no_more_than_there_are(open_fmi3: Open) -> None:

@@ -39,6 +39,11 @@ def test_build_writes_fmus_of_fmi_3_to_a_folder_of_their_own(command: Command, r
     assert b'<fmiModelDescription fmiVersion="3.0"' in description
     build = ("build", "ExamplePlant", "--fmi", "3")
     assert "--fmi: no effect with --cache" in refused(*build, "--cache")
+    assert b'name="state[2]"' not in description
+    command(*build, "--scalars")
+    description = zipfile.ZipFile("fmus-built/fmi3/ExamplePlant.fmu").read("modelDescription.xml")
+    assert b'name="state[2]"' in description
+    assert "expected FMI 3.0" in refused("build", "ExamplePlant", "--scalars")
     assert "expected FMI 2.0, or 3.0 in native" in refused(*build, "--flavour", "python")
     assert "expected the native flavour and FMI 2.0" in refused(*build, "--reals-only")
 
@@ -133,6 +138,7 @@ def test_a_microcontroller_gets_a_folder_of_its_own(command: Command, refused: C
     assert 100 < int(stack.replace(",", "")) < 2000
     assert "expected no other platform beside cortex-m7" in refused(*build, "linux64,cortex-m7")
     assert "--fmi: no effect with --platform cortex-m7" in refused(*build, "cortex-m7", "--fmi", "3")
+    assert "--scalars: no effect with --platform cortex-m7" in refused(*build, "cortex-m7", "--scalars")
 
 
 def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Command, refused: Command) -> None:
