@@ -134,7 +134,8 @@ def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
     seed_1 = fmod(_A_1 * seed_1, _M_1)
     seed_2 = fmod(_A_2 * seed_2, _M_2)
     difference = seed_1 - seed_2
-    z = where(difference < 1.0, difference + _M_1 - 1.0, difference)
+    # one sum, of whole numbers: a proof loses its relation to the condition in two
+    z = where(difference < 1.0, difference + (_M_1 - 1.0), difference)
     return z / _M_1, seed_1, seed_2
 
 

@@ -376,7 +376,9 @@ class Transfer:
         float
             Force [N].
         """
-        return where(self.a_0 > 0.0, lambda: x[0] + self.b_1 / self.a_0 * x[1], steady)
+        # C may divide before it chooses
+        divisor = where(self.a_0 > 0.0, self.a_0, 1.0)
+        return where(self.a_0 > 0.0, lambda: x[0] + self.b_1 / divisor * x[1], steady)
 
     def requirements(self, step: float) -> tuple:
         """Returns the requirements: the function is stable, and Runge-Kutta steps resolve its poles.

@@ -12,6 +12,7 @@ from fmus.generate import guard
 from fmus.generate.builder import loaded
 from fmus.prove import eva
 from fmus.prove.eva import Proof, proof
+from fmus.registry import block_names
 
 BLOCK = """
 from dataclasses import dataclass
@@ -100,7 +101,7 @@ def test_an_alarm_has_the_expression_and_the_line_of_the_block(
 ) -> None:
     """As Eva prints it for the line of C that divides."""
 
-    def printed(code: str, name: str) -> str:
+    def printed(code: str, name: str, slevel: int) -> str:
         line = next(i for i, text in enumerate(code.splitlines(), 1) if re.search(r"v\d+ = .* / v\d+;", text))
         return f"[eva:alarm] /a/harness.c:{line}: Warning: \n  division by zero. assert v1 != 0;\n"
 
@@ -131,7 +132,7 @@ def test_a_step_without_a_number_somewhere_is_not_proved(prove: Prove, result: s
 
 
 @pytest.mark.cross
-@pytest.mark.parametrize("name", ["ExamplePlant", "ThrustAllocation", "PidDepthController", "WaveSource"])
+@pytest.mark.parametrize("name", block_names())
 def test_a_step_of_a_shipped_block_is_proved(name: str) -> None:
     with guard.divisions() as divisions, loaded(name) as (traced,):
         assert not proof(traced, divisions).alarms
