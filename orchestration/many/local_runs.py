@@ -87,7 +87,7 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
                         yield finished
             except BaseException:
                 if running:
-                    self._end_runs()
+                    self.end_runs()
                     wait(running)
                 raise
 
@@ -134,7 +134,7 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
         self._isolated = self._isolated or [Isolated(job, None, bool(limits)) for _ in range(self._workers)]
         return self._isolated
 
-    def _end_runs(self) -> None:
+    def end_runs(self) -> None:
         """Ends what runs, also from another thread; runs that follow are made by new runners."""
         self._job = None
         for runner in (*self._in_process, *self._isolated):
@@ -149,7 +149,7 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
     def close(self) -> None:
         """Ends what runs, also from another thread; no run follows."""
         self._closed = True
-        self._end_runs()
+        self.end_runs()
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -3,6 +3,8 @@
 Whatever FMUs do to the other process, there is a result or a reason.
 """
 
+import os
+import tempfile
 import threading
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
@@ -255,7 +257,11 @@ class Isolated:
 
 
 def answer(parent: Parent) -> None:
-    """Serves in the process: receives a job, loads its FMUs and makes its runs, until the next job."""
+    """Serves in the process: receives a job, loads its FMUs and makes its runs, until the next job.
+
+    The working folder is that of the process, so that files with relative names end with it.
+    """
+    os.chdir(tempfile.gettempdir())
     job = parent.receive()
     while True:
         job = _next_job(parent, job)

@@ -1,6 +1,7 @@
 """The protocol of the score: its cases, metrics and controllers, from protocol.toml."""
 
 import math
+import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -255,6 +256,19 @@ def with_cost(protocol: Protocol, cost: Mapping[str, Any]) -> Protocol:
     bounds = {**data["cost"].get("bounds", {}), **cost.get("bounds", {})}
     changed = {**data, "cost": {**data["cost"], **cost, "bounds": bounds}}
     return _protocol_of(replace(protocol.file, data=changed), protocol.vehicle)
+
+
+def on_vehicle(protocol: Protocol) -> Protocol:
+    """Returns the protocol with the bound on the total variation carried to its vehicle, as gains are.
+
+    Forces are in proportion to the inertia; where that is not known, nothing bounds them.
+    """
+    bounds = dict(protocol.tables.cost.bounds)
+    if "total_variation" not in bounds or protocol.vehicle.is_of_base:
+        return protocol
+    ratio = protocol.inertia_ratio if protocol.scales_gains else math.inf
+    largest = min(ratio * bounds["total_variation"], sys.float_info.max)
+    return with_cost(protocol, {"bounds": {"total_variation": largest}})
 
 
 def _protocol_of(file: TomlFile, vehicle: Vehicle | None) -> Protocol:

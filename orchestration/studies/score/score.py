@@ -50,7 +50,8 @@ def score_controllers(
 ) -> ScoreResult:
     """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
 
-    Each controller runs in a separate process. One that fails, hangs or crashes has its row with the reason.
+    Each controller runs in processes of its own. One that fails, hangs or crashes
+    has its row with the reason.
 
     Parameters
     ----------
@@ -97,12 +98,13 @@ def score_controllers(
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers if protocol.scales_gains]
     renamed = _with_other_names(controllers, beside)
-    seed = secrets.randbelow(LARGEST_SEED) if seed is None else seed
-    scoring = Scoring(protocol, full, seed, progress)
+    drawn = secrets.randbelow(LARGEST_SEED) if seed is None else seed
+    scoring = Scoring(protocol, full, drawn, progress)
     rows = _rows(scoring, renamed, beside, timeout or protocol.tables.time_limit, workers)
     document = Score(
         made_by=f"l1-depth {version('l1-depth')}",
-        seed=seed,
+        seed=drawn,
+        seed_is_given=seed is not None,
         protocol=protocol_info(protocol),
         rows=[row for row, _ in rows],
     )

@@ -191,12 +191,19 @@ class Score(Part):
     """Program and version that wrote the file."""
     seed: int = 0
     """Seed of noise, times and plants: `--seed` repeats them."""
+    seed_is_given: bool | None = None
+    """Whether the seed was chosen, not drawn: its noise may have been known; null: not recorded."""
     protocol: ProtocolInfo
     """Description of the protocol: metrics and cases."""
     rows: list[Row]
     """Results, one entry for each controller."""
     differences: list[PairedDifference] = []
     """Paired differences between controllers, of --full."""
+
+    @property
+    def seed_text(self) -> str:
+        """The seed, marked if it was given."""
+        return f"{self.seed}{' (given, not drawn)' if self.seed_is_given else ''}"
 
     @property
     def nominal(self) -> str:

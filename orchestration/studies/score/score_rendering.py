@@ -42,7 +42,7 @@ def terminal_text(score: Score, console: Console) -> str:
     protocol, width = score.protocol, console.width
     with console.capture() as captured:
         console.print(_summary(score, width))
-    statement = f"Protocol {protocol.version}, seed {score.seed}. {protocol.statement}"
+    statement = f"Protocol {protocol.version}, seed {score.seed_text}. {protocol.statement}"
     lines = [statement, *captured.get().splitlines(), _MARKS]
     room = _MOST_LINES - _FILE_LINES - sum(_heights(lines, width))
     return "\n".join([*lines, *_shortened(_reasons(score), room, width), "Every case and metric:"])

@@ -1,7 +1,7 @@
 """The result row of one controller: all cases, one-off measurements, all sampled plants."""
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from fmus.fmi.description import describe, of_causality
+from fmus.fmi.description import describe, is_independent, of_causality
+from fmus.fmi.variable_types import FmiValue
 from fmus.store import digest
 from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
 from orchestration.many.job import ENDED, TOO_LONG, ClosedError, Done, Failure, Job, Reduce, Run
@@ -18,14 +19,16 @@ from orchestration.many.local_runs import LocalRuns
 from orchestration.many.run_many import in_order, recordings_of
 from orchestration.results.recording import Recording
 from orchestration.results.statistics import distribution, proportion_interval
-from orchestration.studies.margins.fmu_margins import scan
-from orchestration.studies.margins.hold import HoldRuns, LoopSignal, last_part
+from orchestration.scenarios.changes import with_values
+from orchestration.studies.margins.fmu_margins import DELAYS, scan
+from orchestration.studies.margins.hold import QUIET, HoldRuns, LoopSignal, last_part
 from orchestration.studies.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
 from orchestration.studies.score.draws import drawn_cases, plants, repeated_cases
-from orchestration.studies.score.protocol import Case, Protocol
-from orchestration.studies.score.protocol_format import COMPARED
+from orchestration.studies.score.protocol import Case, Protocol, on_vehicle
+from orchestration.studies.score.protocol_format import COMPARED, DELAY_MARGIN
 from orchestration.studies.score.run_metrics import Trace, declared, failures, traced_metrics
 from orchestration.studies.score.score_document import CaseResult, ManyRuns, MetricOverRuns, Row
+from orchestration.studies.score.tune_problem import costs
 from orchestration.studies.vehicle import DEPTH
 from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Table
@@ -47,6 +50,8 @@ class LimitedRuns:
     """Makes the runs of one controller, until one took too long or its process has ended three times.
 
     The others are failures that say so: hundreds of them might each take as long.
+    Each run has a process and a folder of its own, so that neither a global nor a file passes notes to the
+    next run. Runs of FMUs that share no memory (`is_independent`) have one process together.
     """
 
     def __init__(self, local: LocalRuns) -> None:
@@ -56,9 +61,13 @@ class LimitedRuns:
 
     def __call__(self, job: Job, runs: Sequence[Run]) -> Iterator[Done]:
         """Yields the runs of a job in their order."""
-        with closing(in_order(self.local, job, runs)) as made:
-            for _ in runs:
-                yield Done(Failure(self._refusal, ENDED)) if self._refusal else self._noted(made)
+        share_no_memory = all(is_independent(describe(path)) for path in job.system.components.values())
+        for group in [runs] if share_no_memory else [[run] for run in runs]:
+            with closing(in_order(self.local, job, group)) as made:
+                for _ in group:
+                    yield Done(Failure(self._refusal, ENDED)) if self._refusal else self._noted(made)
+            if not share_no_memory:
+                self.local.end_runs()
 
     def _noted(self, made: Iterator[Done]) -> Done:
         try:
@@ -116,11 +125,12 @@ class Scoring:
         traces: dict[str, Trace] = {}
         for case, (run, trace) in zip(self.cases, self._judged(loop, self.cases, traced=True), strict=True):
             row.cases[case.name], traces[case.name] = run, trace
-        row.unranked = beyond_bounds(loop)
+        row.unranked = beyond_ranges(loop)
         if row.cases[nominal.name].failed:
             row.unranked += [f"{nominal.title}: {reason}" for reason in row.cases[nominal.name].failed]
         else:
             row.unranked += _value_or([], not_repeated, loop, nominal)
+            row.unranked += _value_or([], beyond_bounds, loop, nominal)
             draws = self.draws.get(nominal.name, [nominal])
             row.delay_margins = [_value_or(math.nan, delay_margin_of, loop, draw) for draw in draws]
             row.delay_margin = float(np.median(row.delay_margins))
@@ -173,7 +183,32 @@ def _value_or(default: Any, function: Callable[[ClosedLoop, Case], Any], loop: C
         return default
 
 
-def beyond_bounds(loop: ClosedLoop) -> list[str]:
+def beyond_bounds(loop: ClosedLoop, case: Case) -> list[str]:
+    """Returns the bounds of the search that a controller does not keep in its practice cases.
+
+    Built-in controllers and scored ones are held to the same bounds, with the same noise: gains at a bound
+    keep it with one noise and not with another.
+    """
+    protocol = on_vehicle(loop.protocol)
+    with ClosedLoop(loop.controller, protocol, loop.make, loop.timeout) as held:
+        (result,) = costs(held, [{}])
+    if "failure" in result:
+        return [f"practice cases: {result['failure']}"]
+    bounds = dict(protocol.tables.cost.bounds)
+    delay = bounds.pop(DELAY_MARGIN, 0.0)
+    reasons = [
+        f"{protocol.cases[name].title}, practice: {metric} {value:.4g} {protocol.metrics[metric].unit}, "
+        f"above {bound:g}, the bound of the search"
+        for name, metrics in result["metrics"].items()
+        for metric, bound in bounds.items()
+        if (value := metrics.get(metric, 0.0)) > bound
+    ]
+    if result["unrest"] > QUIET:
+        reasons.append(f"practice: not quiet with a delay of {delay:g} s, the bound of the search")
+    return reasons
+
+
+def beyond_ranges(loop: ClosedLoop) -> list[str]:
     """Returns the gains beyond the widest range that the protocol has for them in this FMU."""
     ranges: dict[str, tuple[float, float]] = {}
     for table in loop.protocol.controllers.values():
@@ -195,15 +230,20 @@ def not_repeated(loop: ClosedLoop, case: Case) -> list[str]:
     return [] if np.array_equal(first, second, equal_nan=True) else ["its run, repeated, gives other values"]
 
 
-def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
+def delay_margin_of(
+    loop: ClosedLoop, case: Case, gains: Mapping[str, FmiValue] = {}, largest: float = DELAYS.largest
+) -> float:
     """Returns how much later [s] the measured depth may be while the case holds its target quietly.
 
     Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
+    gains: variable of the controller -> value; largest: delay [s] of the scan
     """
-    scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
+    experiment = with_values(loop.experiment(case), {f"{OWN}{name}": x for name, x in gains.items()})
+    scenario = replace(loop.scenario(case), experiment=experiment)
     hold = last_part(loop.protocol.vehicle.variable(DEPTH), case.target.window[1])
     with HoldRuns(scenario, hold, loop.make, loop.timeout) as runs:
-        return scan(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
+        grid = replace(DELAYS, largest=largest)
+        return scan(runs, LoopSignal.MEASUREMENT, grid, only_first_loss=True).margin
 
 
 def microseconds(loop: ClosedLoop, case: Case) -> float:

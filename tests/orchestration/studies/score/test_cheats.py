@@ -1,19 +1,26 @@
 """Controllers that would gain by what they know of a score, or cannot be ranked."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fmus.generate import builder
+from orchestration.many.local_runs import LocalRuns
+from orchestration.scenarios.vehicle import VehicleFile
 from orchestration.studies.score import score_rows
-from orchestration.studies.score.closed_loop import ClosedLoop, Controller, built_in, tuned
+from orchestration.studies.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller, built_in, tuned
 from orchestration.studies.score.draws import drawn_cases
-from orchestration.studies.score.protocol import Protocol, read_protocol
+from orchestration.studies.score.protocol import Protocol, on_vehicle, read_protocol
+from orchestration.studies.score.run_metrics import declared, metrics_of
 from orchestration.studies.score.score import score_controllers
+from orchestration.studies.score.score_rows import LimitedRuns
 from orchestration.studies.score.score_tables import of_metric
+from orchestration.studies.vehicle import Vehicle
 from orchestration.system.signals import values_at
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.studies.score.controllers import rogue_doing
@@ -152,7 +159,7 @@ def test_gains_beyond_the_bounds_of_the_protocol_are_not_ranked(protocol: Protoc
     def reasons(name: str, **parameters: float) -> list[str]:
         fmu = protocol.controllers[name].fmu
         with ClosedLoop(Controller("mine", fmu, parameters=parameters), protocol) as loop:
-            return score_rows.beyond_bounds(loop)
+            return score_rows.beyond_ranges(loop)
 
     assert reasons("pid", kp=1000.0, ki=0.01) == []
     assert reasons("pid", kp=1001.0) == ["kp = 1001: beyond 0.1 to 1000, in which gains are tuned"]
@@ -177,3 +184,73 @@ def test_who_fails_the_nominal_case_has_no_delay_margin_and_no_mark(small: Proto
     assert other.delay_margins == [other.delay_margin]  # one noise, without --full
     for table in (of_metric(document, "total_variation"), of_metric(document, "effort")):
         assert not any(cell.is_best for cell in table.cells[0])
+
+
+LEARNING = """
+from pathlib import Path
+from tempfile import gettempdir
+
+by_global = [False]
+
+
+class {name}:
+    period = 0.04
+    by_class = [False]
+
+    def reset(self):
+        self.notes = Path("notes"), Path(__file__).with_name("notes"), Path(gettempdir(), "notes")
+        self.learnt = any(path.exists() for path in self.notes) or self.by_class[0] or by_global[0]
+
+    def step(self, time, inputs):
+        if time > 100.0:
+            self.by_class[0] = by_global[0] = True
+            for path in self.notes:
+                path.touch()
+        pid = 8.0 * (inputs["depth_reference"] - inputs["measured_depth"])
+        return {{"control_force": pid + 50.0 * self.learnt}}
+"""
+
+
+def test_neither_a_class_attribute_nor_a_global_nor_a_file_passes_notes_between_runs(
+    small: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A controller that finds a note of an earlier run, or of its sibling, pushes down by 50 N."""
+    monkeypatch.chdir(tmp_path)
+    rmse, errors = declared(small.nominal, small, ["rmse"]), list[float]()
+    runs = [ClosedLoopRun(small.nominal, partial(metrics_of, metrics=rmse))] * 2
+    for name in ("First", "Second"):
+        Path(f"{name}.py").write_text(LEARNING.format(name=name), encoding="utf-8")
+        with LocalRuns(1, isolate=True) as local:
+            loop = ClosedLoop(Controller(name, f"{name}.py:{name}"), small, LimitedRuns(local))
+            errors += [metrics["rmse"] for metrics in loop.results(runs)]
+    assert len(errors) == 4
+    assert len({*errors}) == 1
+    assert errors[0] < 100.0  # cm, of a weak law; a push by 50 N sinks it
+    assert not Path("notes").exists()
+
+
+def test_every_row_keeps_the_bounds_of_the_search_or_has_no_mark(small: Protocol) -> None:
+    """A built-in row is held to them as a scored one is."""
+    quick = Controller("quick", "PidDepthController", parameters={"kp": 110.0})
+    beside = [tuned(small, "l1-pi"), replace(quick, name="built-in")]
+    document = score_controllers([quick], small, beside=beside).document
+    mine, good, other = document.rows
+    assert good.unranked == []
+    assert mine.unranked == other.unranked
+    assert re.search(r"Nominal, practice: total_variation \d+ N, above 1000", mine.unranked[0])
+    assert mine.unranked[-1] == "practice: not quiet with a delay of 0.1 s, the bound of the search"
+    for table in (of_metric(document, "rmse"), of_metric(document, "effort")):
+        assert [cell.is_best for cell, *_ in table.cells] == [False, True, False]
+    assert document.seed_is_given is False
+
+
+def test_the_bound_on_the_variation_is_carried_to_a_vehicle_by_its_inertia(protocol: Protocol) -> None:
+    bound = protocol.tables.cost.bounds["total_variation"]
+    assert on_vehicle(protocol) is protocol
+    other = on_vehicle(read_protocol(vehicle=Vehicle.of("BlueRov2Plant")))
+    assert other.tables.cost.bounds["total_variation"] == pytest.approx(bound * 32.18 / 5.5)
+    assert other.tables.cost.bounds["overshoot"] == protocol.tables.cost.bounds["overshoot"]
+    nameless = replace(other.vehicle, file=replace(other.vehicle.file, data={}), described=VehicleFile())
+    unknown = on_vehicle(read_protocol(vehicle=nameless))
+    assert unknown.tables.cost.bounds["total_variation"] > 1e300
+    assert not unknown.scales_gains

@@ -76,7 +76,7 @@ def test_a_python_class_is_scored_by_its_name_and_the_command_fails_where_it_fai
 def test_a_score_that_its_schema_refuses_is_not_written(
     refused: Callable[..., str], protocol_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(score_rows, "beyond_bounds", lambda loop: 1.0)
+    monkeypatch.setattr(score_rows, "beyond_ranges", lambda loop: 1.0)
     message = refused("score", "L1DepthController", "--protocol", protocol_file)
     assert re.search(r"score of L1DepthController: unranked = 1.0: .* valid list", message)
     assert not (tmp_path / "results").exists()
