@@ -61,6 +61,16 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         source="guess that satisfies the L1-norm condition; per SI unit of the regressor",
     )
     sigma_bound: float = variable(10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="guess")
+    initial_u_a: float = variable(
+        0.0, "Adaptive control at the start", unit="N", variability="fixed", source="assumed"
+    )
+    initial_sigma_hat: float = variable(
+        0.0,
+        "Estimate at the start, within its bound",
+        unit="N",
+        variability="fixed",
+        source="published: zero",
+    )
     proportional_gain: float = variable(
         3.967, "K_P of the PI", unit="N/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
@@ -154,9 +164,9 @@ def requirements(p: Parameters, matrices: Matrices) -> tuple:
 
 
 def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:
-    """Returns the state at rest on the first measurement: no estimate, no adaptive control."""
+    """Returns the state at rest on the first measurement."""
     interface = depth_interface.first_state(t, inputs, p)
-    return State(l1.initial_law(_measurement(interface.measured, matrices), p.input_gain), interface)
+    return State(l1.initial_law(_measurement(interface.measured, matrices), p), interface)
 
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:

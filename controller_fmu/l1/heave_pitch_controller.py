@@ -265,7 +265,8 @@ def _pitch_parameters(p: Parameters) -> Parameters:
     """Returns the parameters of the pitch axis by the names of the depth axis; shared ones are unchanged."""
     given = asdict(p)
     own = {name: given[of_pitch] for name, of_pitch in _PARAMETERS}
-    return replace(p, **own, reference_feedforward=ReferenceFeedforward.NONE)
+    own |= {"reference_feedforward": ReferenceFeedforward.NONE, "initial_u_a": 0.0, "initial_sigma_hat": 0.0}
+    return replace(p, **own)
 
 
 def _pitch_matrices(matrices: Matrices) -> axis.Matrices:

@@ -17,6 +17,7 @@ from controller_fmu.l1.lowpass import FilterState
 from controller_fmu.l1.matrices import LawMatrices, SampledLawMatrices, Vector, dot
 from controller_fmu.l1.parameters import AdaptationLaw, Augmentation, LawParameters, ReferenceFeedforward
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
+from controller_fmu.l1.projection import keep_within
 from fmus.numerics import where
 
 
@@ -120,21 +121,23 @@ class Control:
         return self.u_m + self.u_a + self.u_p + self.u_f
 
 
-def initial_law(measured: Measurement, omega: float) -> LawState:
-    """Returns the state with the prediction at the measured state, theta_hat and sigma_hat at zero.
+def initial_law(measured: Measurement, parameters: LawParameters) -> LawState:
+    """Returns the state with the prediction at the measured state and theta_hat at zero.
 
     Parameters
     ----------
     measured : Measurement
         First measurement.
-    omega : float
-        Estimate of the input gain.
+    parameters : LawParameters
 
     Returns
     -------
     LawState
     """
-    return LawState(measured, Estimates(omega_hat=omega), sample=Sample(measured.x))
+    p = parameters
+    sigma_hat = keep_within(p.initial_sigma_hat, p.sigma_bound)
+    estimates = Estimates(sigma_hat=sigma_hat, omega_hat=p.input_gain)
+    return LawState(measured, estimates, filter=FilterState(p.initial_u_a), sample=Sample(measured.x))
 
 
 def extension(parameters: LawParameters, e: float, integral: float, r: float) -> float:

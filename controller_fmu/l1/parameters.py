@@ -120,6 +120,8 @@ class PlantParameters:
 
     theta_bound: Vector
     sigma_bound: float
+    initial_u_a: float
+    initial_sigma_hat: float
     proportional_gain: float
     integral_gain: float
     nonlinear_threshold: float

@@ -67,6 +67,10 @@ class Parameters(LawParameters):
     sigma_bound: float = variable(
         0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6, source="published: sigma = 0"
     )
+    initial_u_a: float = variable(0.0, "Adaptive control at the start", variability="fixed", source="assumed")
+    initial_sigma_hat: float = variable(
+        0.0, "Estimate at the start, within its bound", variability="fixed", source="assumed"
+    )
     proportional_gain: float = variable(0.0, "K_P of the PI", min=0.0, max=1e6)
     integral_gain: float = variable(0.0, "K_I of the PI", min=0.0, max=1e6)
     large_error_gain: float = variable(
@@ -131,7 +135,7 @@ def requirements(p: Parameters, matrices: SampledLawMatrices) -> tuple:
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: SampledLawMatrices) -> State:
-    return State(l1.initial_law(_measurement(inputs, p, matrices), p.input_gain))
+    return State(l1.initial_law(_measurement(inputs, p, matrices), p))
 
 
 def step(

@@ -124,7 +124,7 @@ def tracking_error(kind: ReferenceFeedforward, augmentation: Augmentation) -> tu
         f = reference_feedforward(r, rate, -(omega**2) * r, matrices)
         z, v = x.tolist()
         now = Measurement((z, v), z, r, f)
-        law = law or l1.initial_law(now, 1.0)
+        law = law or l1.initial_law(now, p)
         u = l1.control(law, p.feedback_gain, p)
         rows.append((t, z - r))
         law = l1.law_step(STEP, law, now, u, u.total, 0.0, p.feedback_gain, p, matrices)
@@ -169,7 +169,7 @@ def test_a_known_input_gain_does_not_change_where_the_output_ends(kind: Referenc
     )  # fmt: skip
     matrices, k_m = siso_controller.calculate(p), p.feedback_gain
     step = expm(np.array([[0.0, 1.0, 0.0], [-1.0, -1.4, 2.0], [0.0, 0.0, 0.0]]) * 0.02)
-    x, law = np.zeros(2), l1.initial_law(Measurement(), 2.0)
+    x, law = np.zeros(2), l1.initial_law(Measurement(), p)
     for _ in range(1500):
         z, v = x.tolist()
         now = Measurement((z, v), z, 0.7, reference_feedforward(0.7, 0.0, 0.0, matrices))

@@ -40,7 +40,7 @@ def stepped(p: siso_controller.Parameters, law: LawState, h: float, count: int, 
 @pytest.mark.parametrize("order", list(FilterOrder))
 def test_either_filter_settles_where_eta_hat_is_k_g_r(order: FilterOrder, at_end: bool) -> None:
     p = parameters(filter_order=order, inputs_at_step_end=at_end, state_matrix=((0.0, 1.0), (-2.0, -1.4)))
-    law = stepped(p, l1.initial_law(SEEN, 1.0), 4e-3, 5000, SEEN)
+    law = stepped(p, l1.initial_law(SEEN, p), 4e-3, 5000, SEEN)
     e = law.estimates
     eta = e.omega_hat * law.filter.u_a + e.theta_hat[0] * 2.0 - e.theta_hat[1] + e.sigma_hat
     assert eta == pytest.approx(2.0 * SEEN.r, rel=1e-6)  # k_g = -1 / (C A_m^-1 B_m) = 2
@@ -156,7 +156,27 @@ def test_an_internal_step_is_at_most_the_observers_period(driver: Any) -> None:
 
 
 def test_omega_hat_begins_at_the_centre_of_its_box() -> None:
-    assert l1.initial_law(SEEN, 3.0).estimates.omega_hat == 3.0
+    assert l1.initial_law(SEEN, parameters(input_gain=3.0)).estimates.omega_hat == 3.0
+
+
+@pytest.mark.parametrize(("bound", "expected"), [(10.0, -1.2), (1.0, -1.0)])
+def test_a_law_that_has_learnt_the_buoyancy_holds_the_vehicle_from_the_start(
+    driver: Any, bound: float, expected: float
+) -> None:
+    """u_a cancels what sigma_hat knows, so that filter and estimate stay where they begin."""
+    learnt = {"initial_u_a": 1.2, "initial_sigma_hat": -1.2, "sigma_bound": bound}
+    controller = driver(builder.load_block("L1DepthController"), **learnt).begin()
+    assert controller["u_a"] == controller["demanded_force"] == 1.2
+    assert controller["sigma_hat"] == expected
+    controller.step(0.02)
+    assert (controller["u_a"] == 1.2) == (bound == 10.0)
+
+
+def test_only_the_depth_starts_with_what_it_has_learnt(driver: Any) -> None:
+    learnt = {"initial_u_a": 1.2, "initial_sigma_hat": -1.2}
+    controller = driver(builder.load_block("L1HeavePitchController"), **learnt).begin()
+    assert (controller["u_a"], controller["sigma_hat"]) == (1.2, -1.2)
+    assert (controller["pitch_u_a"], controller["pitch_sigma_hat"]) == (0.0, 0.0)
 
 
 def test_a_prediction_error_is_that_of_one_time(driver: Any) -> None:
@@ -191,7 +211,7 @@ def test_no_step_size_or_gain_makes_the_filter_diverge(
 ) -> None:
     chosen = {"adaptation_gain": gain, "filter_bandwidth": 160.0, "input_gain_uncertainty": 0.5}
     p = parameters(**chosen, augmentation=augmentation, proportional_gain=50.0)
-    law = stepped(p, l1.initial_law(Measurement(), 1.0), h, 30, Measurement(x, x[0], r))
+    law = stepped(p, l1.initial_law(Measurement(), p), h, 30, Measurement(x, x[0], r))
     drive = 10.0 * (abs(x[0]) + abs(x[1])) + 5.0 + abs(r)  # what the bounds of the estimates allow
     # u_a' = -w (omega_hat u_a + drive), omega_hat >= 0.5; in steps above 2 / w the midpoint rule overshoots
     assert abs(law.filter.u_a) <= max(2.0, 0.5 * h * 160.0) * drive * (1.0 + 1e-12)
