@@ -82,11 +82,13 @@ class Component:
                 suffix = f"[{','.join(str(i + 1) for i in index)}]" if index else ""
                 self.variables[declared.name + suffix] = Variable(self, declared, element)
 
-    def enter_initialization_mode(self, start: float, stop: float) -> None:
-        """Begins the initialisation of an experiment from `start` to `stop` [s]."""
-        times = {"startTime": start, "stopTime": stop}
+    def set_up_experiment(self, times: Mapping[str, float]) -> None:
+        """Sets up an experiment of FMI 2.0; times: startTime and stopTime [s]."""
         if not self.is_fmi_3:
             self.fmu.setupExperiment(**times)
+
+    def enter_initialization_mode(self, times: Mapping[str, float]) -> None:
+        """Begins the initialisation of an experiment."""
         self.fmu.enterInitializationMode(**(times if self.is_fmi_3 else {}))
 
     def step(self, start: float, end: float) -> None:
@@ -220,9 +222,11 @@ def simulate(
     with ExitStack() as resources:
         components = [Component(name, path, resources) for name, path in fmus.items()]
         master = Master(components, connections, [*signals], record)
+        times = {"startTime": start_time, "stopTime": stop_time}
+        master.for_each(lambda component: component.set_up_experiment(times))
         for name, value in start_values.items():
             master[name].set(value)
-        master.for_each(lambda component: component.enter_initialization_mode(start_time, stop_time))
+        master.for_each(lambda component: component.enter_initialization_mode(times))
         master.initialise({name: table[0] for name, table in tables.items()})
         master.for_each(lambda component: component.fmu.exitInitializationMode())
         master.for_each(master.read_outputs)

@@ -110,11 +110,18 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         (value,) = self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])
         return (value or b"").decode("utf-8", "replace") if variable.type == "String" else value
 
-    def initialise(self, start_time: float, stop_time: float | None, tolerance: float | None = None) -> None:
-        """Sets the experiment up and enters initialization mode; tolerance: relative, of its solver."""
+    def initialise(
+        self,
+        start_time: float,
+        stop_time: float | None,
+        tolerance: float | None = None,
+        settings: Iterable[tuple[ScalarVariable, FmiValue]] = (),
+    ) -> None:
+        """Sets the experiment up and variables, enters initialization mode; tolerance: of its solver."""
         self.time = start_time
         self.is_fresh = False
         self.set_up_experiment(start_time, stop_time, tolerance)
+        self.set_all(settings)  # after it: FMUs of 20-sim lose what was set before
         self.enter_initialization_mode()
 
     def exit_initialization_mode(self) -> None:

@@ -45,9 +45,8 @@ def initialise(
         is_input = port.variable.causality == "input"
         sorted_settings[port.component, is_input].append((port.variable, value))
     for name, instance in instances.items():
-        instance.set_all(sorted_settings[name, False])
-    for instance in instances.values():
-        instance.initialise(experiment.start_time, experiment.stop_time, experiment.fmu_tolerance)
+        times = experiment.start_time, experiment.stop_time
+        instance.initialise(*times, experiment.fmu_tolerance, sorted_settings[name, False])
     for name, instance in instances.items():
         instance.set_all(sorted_settings[name, True])
     solve_initial_values(prepared.system, instances, Initialisation(experiment.initialisation))

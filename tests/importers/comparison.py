@@ -15,7 +15,7 @@ from tests.importers.importers import ImporterJob, Trajectory, run_job
 from tests.isolated import answer_of
 
 SCENARIOS = ("nominal-extended", "nominal-l1")
-OUTPUT = "plant.depth"
+OUTPUTS = (("plant", "depth"),)
 _LONGEST_S = 300.0
 _SHIFTS = (0, 1, -1, 2, -2)
 
@@ -43,7 +43,7 @@ def packaged(scenario: Scenario, folder: Path, version: SspVersion = SspVersion.
     package = ssp_write.package(scenario, path, build_ramp_source, build_started, version)
     experiment = scenario.experiment
     times = experiment.start_time, experiment.stop_time, experiment.step_size
-    return ImporterJob(package, OUTPUT, *times)
+    return ImporterJob(package, OUTPUTS, *times)
 
 
 def run_isolated(importer: str, job: ImporterJob) -> Trajectory | str:
@@ -73,7 +73,8 @@ def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
 def least_difference(answer: Trajectory, ours: Recording, job: ImporterJob) -> tuple[int, float]:
     """(shift, difference) as `Outcome` has them."""
     points = np.rint((answer.time - job.start_time) / job.step_size).astype(int)
-    differences = {shift: _difference(answer.values, points + shift, ours[job.output]) for shift in _SHIFTS}
+    columns = np.column_stack([ours[".".join(output)] for output in job.outputs])
+    differences = {shift: _difference(answer.values, points + shift, columns) for shift in _SHIFTS}
     shift = min(differences, key=lambda shift: differences[shift])
     return shift, differences[shift]
 

@@ -1,4 +1,4 @@
-"""Other people's importers: each runs an SSP package of this project and reports one output.
+"""Other people's importers: each runs an SSP package and reports outputs.
 
 A function for each, which imports its importer when it is called: in a process of its own, by `run_job`.
 """
@@ -28,16 +28,16 @@ _NANOSECOND = 1e-9
 
 @dataclass(frozen=True)
 class ImporterJob:
-    """Run a package from its start to its stop time and report one output.
+    """Run a package from its start to its stop time and report outputs.
 
     parameter_set: name of the set that the importer is told to apply; by default none
-    output: "component.variable"
+    outputs: (component, variable); a component of a system in the system is "system.component"
     start_time, stop_time, step_size: s
     report_every: steps from one reported value to the next
     """
 
     package: Path
-    output: str
+    outputs: tuple[tuple[str, str], ...]
     start_time: float
     stop_time: float
     step_size: float
@@ -51,7 +51,10 @@ class ImporterJob:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Values of the output at the importer's times [s], and what the importer and the FMUs printed."""
+    """Values of the outputs at the importer's times [s], and what the importer and the FMUs printed.
+
+    values: a row for each time, a column for each output
+    """
 
     time: np.ndarray
     values: np.ndarray
@@ -68,15 +71,15 @@ def ecos(job: ImporterJob) -> Reports:
     """
     from ecospy.EcosSimulation import EcosSimulation
 
-    output = job.output.replace(".", "::", 1)
+    outputs = [f"{component}::{variable}" for component, variable in job.outputs]
     with EcosSimulation(ssp_path=str(job.package), step_size=job.step_size) as simulation:
         start: Any = job.start_time  # declared as int, handed on as double
         if not simulation.init(start, *filter(None, [job.parameter_set])):
             raise RuntimeError("the initialisation failed")
-        time, values = [job.start_time], [simulation.get_real(output)]
+        time, values = [job.start_time], [[simulation.get_real(output) for output in outputs]]
         for _ in range(job.reports):
             time.append(simulation.step(job.report_every))
-            values.append(simulation.get_real(output))
+            values.append([simulation.get_real(output) for output in outputs])
     return time, values
 
 
@@ -98,7 +101,7 @@ def fmpy_ssp(job: ImporterJob) -> Reports:
                 parameter.value = parameter.value in ("true", "1")
     times = job.start_time, job.stop_time, job.step_size
     result = simulate_ssp(str(job.package), *times, parameter_set=parameter_set)
-    return result["time"], result[job.output]
+    return result["time"], np.column_stack([result[".".join(output)] for output in job.outputs])
 
 
 def libcosim(job: ImporterJob) -> Reports:
@@ -109,38 +112,45 @@ def libcosim(job: ImporterJob) -> Reports:
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimObserver import CosimObserver
 
-    component, _, variable = job.output.partition(".")
     execution = CosimExecution.from_ssp_file(str(job.package), round(job.step_size / _NANOSECOND))
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
-    instance = execution.slave_index_from_instance_name(component)
-    if instance is None:
-        raise RuntimeError(f"no component {component!r} in the package")
-    (reference,) = [v.reference for v in execution.slave_variables(instance) if v.name.decode() == variable]
+    outputs: list[tuple[int, int]] = []
+    for component, variable in job.outputs:
+        instance = execution.slave_index_from_instance_name(component)
+        if instance is None:
+            raise RuntimeError(f"no component {component!r} in the package")
+        variables = execution.slave_variables(instance)
+        outputs += [(instance, v.reference) for v in variables if v.name.decode() == variable]
     time, values = [], []
     for _ in range(job.reports):
         if not execution.step(job.report_every):
             raise RuntimeError(f"a step failed at {execution.status().current_time} ns")
         time.append(job.start_time + execution.status().current_time * _NANOSECOND)
-        values.append(observer.last_real_values(instance, [reference])[0])
+        values.append([observer.last_real_values(own, [reference])[0] for own, reference in outputs])
     return time, values
 
 
 def omsimulator(job: ImporterJob) -> Reports:
-    """OMSimulator 3: its master `oms_ma`, with the step size that the package annotates."""
+    """OMSimulator 3: its master `oms_ma`; it ignores the step size that packages of version 2 annotate."""
     from OMSimulator import SSP, CRef  # pyright: ignore[reportMissingImports]
 
     package = SSP(str(job.package))
     model = package.instantiate()
     model.setResultFile("")
-    output = CRef(package.activeVariant.system.name, *job.output.split(".", 1))
+    if b'"ModelExchange"' not in zipfile.ZipFile(job.package).read(
+        STRUCTURE
+    ):  # CVode chooses its steps there
+        model.setFixedStepSize(job.step_size)
+    root = package.activeVariant.system.name
+    outputs = [CRef(root, *component.split("."), variable) for component, variable in job.outputs]
     model.initialize()
-    time, values = [model.getTime()], [model.getValue(output)]
+    time, values = [model.getTime()], [[model.getValue(output) for output in outputs]]
     while len(time) <= job.reports:
         for _ in range(job.report_every):
             model.doStep()
         time.append(model.getTime())
-        values.append(model.getValue(output))
+        values.append([model.getValue(output) for output in outputs])
     model.terminate()
     model.delete()
     return time, values
@@ -150,18 +160,19 @@ def fmucontainer(job: ImporterJob) -> Reports:
     """`fmucontainer` of the FMU manipulation toolbox: all FMUs in one container FMU, which FMPy then runs.
 
     It reads components and connections, and no values (start values hold). A package gives its container no
-    output: the one that is reported is added.
+    output: those that are reported are added.
     """
     from fmu_manipulation_toolbox.assembly import Assembly
 
     interval = job.report_every * job.step_size
-    component, _, variable = job.output.partition(".")
     with tempfile.TemporaryDirectory() as folder:
         package = Path(shutil.copy(job.package, Path(folder, "loop.ssp")))
         assembly = Assembly(package.name, default_step_size=job.step_size, fmu_directory=Path(folder))
         assert assembly.root is not None
-        fmu = next(source for name, source in _sources(package).items() if name == component)
-        assembly.root.add_output(f"loop.dir/{Path(fmu).name}", variable, "output")
+        fmus = {name: Path(source).name for name, source in _sources(package).items()}
+        outputs = [f"output{number}" for number in range(len(job.outputs))]
+        for (component, variable), output in zip(job.outputs, outputs, strict=True):
+            assembly.root.add_output(f"loop.dir/{fmus[component]}", variable, output)
         assembly.make_fmu()
         result = fmpy.simulate_fmu(
             str(Path(folder, "loop.fmu")),
@@ -169,9 +180,9 @@ def fmucontainer(job: ImporterJob) -> Reports:
             stop_time=job.stop_time,
             step_size=interval,
             output_interval=interval,
-            output=["output"],
+            output=outputs,
         )
-    return result["time"], result["output"]
+    return result["time"], np.column_stack([result[output] for output in outputs])
 
 
 def _sources(package: Path) -> dict[str, str]:

@@ -17,7 +17,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from tests.importers.comparison import OUTPUT, SCENARIOS, least_difference, outcome, packaged, trajectory
+from tests.importers.comparison import SCENARIOS, least_difference, outcome, packaged, trajectory
 from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 
 pytestmark = pytest.mark.importers
@@ -96,13 +96,13 @@ def test_adding_up_steps_explains_the_difference(
     monkeypatch.setattr(Experiment, "time_grid", added_up)
     moved = simulate(chosen.system, chosen.experiment)
     assert moved.time[-1] == pytest.approx(310.0, abs=1e-10)  # the size of the drift itself
-    difference = np.max(np.abs(moved[OUTPUT] - ours["nominal-extended"][OUTPUT]))
+    difference = np.max(np.abs(moved["plant.depth"] - ours["nominal-extended"]["plant.depth"]))
     assert 1e-11 < difference < ROUNDING_OF_TIME
 
 
 def test_the_scenarios_differ_by_far_more_than_importers_do(ours: dict[str, Recording]) -> None:
     """So that the test detects FMUs that do not start with the values of the scenario."""
-    extended, plain = (ours[name][OUTPUT] for name in SCENARIOS)
+    extended, plain = (ours[name]["plant.depth"] for name in SCENARIOS)
     assert np.max(np.abs(extended - plain)) > 0.1
 
 
@@ -149,5 +149,5 @@ def test_a_shift_of_labels_is_found_and_not_hidden(
     jobs: dict[str, ImporterJob], ours: dict[str, Recording]
 ) -> None:
     run = ours["nominal-l1"]
-    late = Trajectory(run.time[:-2], run[OUTPUT][2:])
+    late = Trajectory(run.time[:-2], run["plant.depth"][2:, None])
     assert least_difference(late, run, jobs["nominal-l1"]) == (2, 0.0)

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from orchestration.run.initialisation import solve_initial_values
 from orchestration.system.experiment import Experiment, Initialisation
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import CheckedSystem, System, check
-from tests.shared_builds import Build
+from tests.shared_builds import Build, Fmus
 
 Connections = tuple[tuple[str, str], ...]
 ROUNDING = 1e-11  # relative: settled to 1e-12, and a loop of gain 0.9 magnifies what is left ten times
@@ -295,3 +296,20 @@ def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
     targets = [target.name for group in groups for _, target in group.connections]
     assert not any(group.is_loop for group in groups)
     assert targets.index("controller.measured_depth") < targets.index("plant.voltage[1]")
+
+
+def test_parameters_hold_though_the_set_up_of_the_experiment_resets_them(
+    built: Fmus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of 20-sim's FMUs does, such as those of libcosim's demo.ssp."""
+    set_up, name = FmuInstance.set_up_experiment, "internal_step"
+
+    def resetting(instance: FmuInstance, *arguments: Any) -> None:
+        set_up(instance, *arguments)
+        (parameter,) = [v for v in instance.description.modelVariables if v.name == name]
+        instance.set(parameter, float(parameter.start or 0))
+
+    monkeypatch.setattr(FmuInstance, "set_up_experiment", resetting)
+    system = System({"a": built["ExamplePlant"]})
+    experiment = Experiment(0.5, 0.125, parameters={f"a.{name}": 0.03125}, record=(f"a.{name}",))
+    assert simulate(system, replace(experiment, open_inputs="start")).values.min() == 0.03125
