@@ -155,13 +155,13 @@ class DepthOutputs:
 
 @dataclass(frozen=True)
 class DepthMeasurement:
-    """Measurement for the law: depth z [m], rate v [m/s]; reference r [m], r' [m/s] and r'' [m/s2]."""
+    """Measurement for the law, in SI units."""
 
-    depth: float = 0.0
-    rate: float = 0.0
-    reference: float = 0.0
-    reference_rate: float = 0.0
-    reference_acceleration: float = 0.0
+    depth: float = variable(0.0, "Measured depth z")
+    rate: float = variable(0.0, "Depth rate v")
+    reference: float = variable(0.0, "Reference r")
+    reference_rate: float = variable(0.0, "Its derivative r'")
+    reference_acceleration: float = variable(0.0, "Its second derivative r''")
 
     @property
     def error(self) -> float:
@@ -180,7 +180,7 @@ class DepthState:
 
     measured: DepthMeasurement = DepthMeasurement()
     observer: ObserverState = ObserverState()
-    j: float = 1.0
+    j: float = variable(1.0, "J = cos(roll) cos(pitch)", min=-1.0, max=1.0)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ gains and sampling period are not published.
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+from fmus.block import variable
 from fmus.numerics import Clock, sampled
 
 
@@ -22,20 +23,16 @@ class VelocitySource(IntEnum):
 
 @dataclass(frozen=True)
 class ObserverState:
-    """State of the observer.
+    """State of the observer, in SI units.
 
     Parameters
     ----------
-    depth : float
-        Estimated depth [m].
-    rate : float
-        Estimated depth rate [m/s].
     clock : Clock
         Clock of its samples.
     """
 
-    depth: float = 0.0
-    rate: float = 0.0
+    depth: float = variable(0.0, "Estimated depth")
+    rate: float = variable(0.0, "Estimated depth rate")
     clock: Clock = Clock()
 
 

@@ -33,10 +33,8 @@ class Inputs:
 
 @dataclass(frozen=True)
 class State:
-    """State: the demanded force [N] and J = cos(roll) cos(pitch)."""
-
-    force: float = 0.0
-    j: float = 1.0
+    force: float = variable(0.0, "Demanded force", unit="N")
+    j: float = variable(1.0, "J = cos(roll) cos(pitch)", min=-1.0, max=1.0)
 
 
 @dataclass(frozen=True)

@@ -111,9 +111,9 @@ class Continuous:
 class State(Continuous):
     """Continuous states, values that follow from the inputs, and the sensor."""
 
-    steady_force: Pair = (0.0, 0.0)
-    j: float = 1.0
-    pressure_head: float = 0.0
+    steady_force: Pair = variable((0.0, 0.0), "Steady force of each thruster", unit="N")
+    j: float = variable(1.0, "J = cos(roll) cos(pitch)", min=-1.0, max=1.0)
+    pressure_head: float = variable(0.0, "Pressure of waves over rho g", unit="m")
     sensor: SensorState = SensorState()
 
 

@@ -76,25 +76,19 @@ class SensorParameters:
 
 @dataclass(frozen=True)
 class SensorState:
-    """State of the sensor.
+    """State of the sensor and of its random generator.
 
     Parameters
     ----------
-    samples : tuple of float
-        The last samples [m], the newest first.
-    start : float
-        Start of the run [s].
     clock : Clock
         Clock of the samples.
-    seed_1, seed_2 : float
-        State of the random generator.
     """
 
-    samples: tuple[float, ...] = (0.0,) * HISTORY
-    start: float = 0.0
+    samples: tuple[float, ...] = variable((0.0,) * HISTORY, "The last samples, the newest first")
+    start: float = variable(0.0, "Start of the run", unit="s")
     clock: Clock = Clock()
-    seed_1: float = 1.0
-    seed_2: float = 1.0
+    seed_1: float = variable(1.0, "First seed of the noise", min=0.0, max=_M_1)
+    seed_2: float = variable(1.0, "Second seed of the noise", min=0.0, max=_M_2)
 
 
 def quantise(value: float, resolution: float) -> float:

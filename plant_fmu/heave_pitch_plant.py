@@ -108,8 +108,8 @@ class Continuous:
 class State(Continuous):
     """Continuous states, values that follow from the inputs, and the sensors."""
 
-    steady_force: Pair = (0.0, 0.0)
-    pressure_head: float = 0.0
+    steady_force: Pair = variable((0.0, 0.0), "Steady force of each thruster", unit="N")
+    pressure_head: float = variable(0.0, "Pressure of waves over rho g", unit="m")
     sensor: SensorState = SensorState()
     pitch_sensor: SensorState = SensorState()
 

@@ -95,7 +95,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class State:
-    depth: float = 0.0
+    depth: float = variable(0.0, "Depth of the vehicle", unit="m")
 
 
 def calculate(p: Parameters) -> Components:

@@ -47,20 +47,20 @@ class Parameters(depth_interface.InertiaParameter, depth_interface.ActuatorParam
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate of the extended state observer: z_1 [m], z_2 [m/s] and z_3 [m/s2]."""
+    """Estimate of the extended state observer."""
 
-    depth: float = 0.0
-    rate: float = 0.0
-    disturbance: float = 0.0
+    depth: float = variable(0.0, "z_1", unit="m")
+    rate: float = variable(0.0, "z_2", unit="m/s")
+    disturbance: float = variable(0.0, "z_3", unit="m/s2")
 
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `measured` has the rate of the extended state observer; `j`: J."""
+    """State of the controller; `measured` has the rate of the extended state observer."""
 
     measured: DepthMeasurement = DepthMeasurement()
     estimate: Estimate = Estimate()
-    j: float = 1.0
+    j: float = variable(1.0, "J = cos(roll) cos(pitch)", min=-1.0, max=1.0)
 
 
 @dataclass(frozen=True)

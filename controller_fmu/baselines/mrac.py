@@ -31,6 +31,9 @@ sigma_hat' = Gamma Proj(sigma_hat, (x - x_m)^T P B_m),     A_m^T P + P A_m = -Q
 
 _POLES = "both poles of A_m at w = 1 rad/s: "
 
+# of a parameter, and of the estimate that it bounds [N]
+_LARGEST_BOUND = 1e6
+
 
 @dataclass(frozen=True)
 class Parameters(depth_interface.DesignParameters):
@@ -63,21 +66,23 @@ class Parameters(depth_interface.DesignParameters):
         "Bound of |theta_hat|",
         unit="N",
         min=0.0,
-        max=1e6,
+        max=_LARGEST_BOUND,
         source="as in L1DepthController; per SI unit of the regressor",
     )
     sigma_bound: float = variable(
-        10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="as in L1DepthController"
+        10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=_LARGEST_BOUND, source="as in L1DepthController"
     )
 
 
 @dataclass(frozen=True)
 class Adaptive:
-    """Adaptive part of the state: x_m [m, m/s], theta_hat [N per SI unit of x] and sigma_hat [N]."""
+    """Adaptive part of the state."""
 
-    model: Vector = (0.0, 0.0)
-    theta_hat: float = 0.0
-    sigma_hat: float = 0.0
+    model: Vector = variable((0.0, 0.0), "State x_m of the model", unit=("m", "m/s"))
+    theta_hat: float = variable(
+        0.0, "Estimate theta_hat, per SI unit of x", unit="N", min=-_LARGEST_BOUND, max=_LARGEST_BOUND
+    )
+    sigma_hat: float = variable(0.0, "Estimate sigma_hat", unit="N", min=-_LARGEST_BOUND, max=_LARGEST_BOUND)
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,9 @@ class Parameters(depth_interface.DampingParameter, depth_interface.ObserverParam
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `integral`: int k_i e dt [N]."""
-
     interface: DepthState = DepthState()
     # with the gain inside, a change of k_i during a run makes no jump of the control
-    integral: float = 0.0
+    integral: float = variable(0.0, "int k_i e dt", unit="N")
 
 
 @dataclass(frozen=True)

@@ -52,10 +52,8 @@ class Parameters(depth_interface.DesignParameters):
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `error_integral`: int e dt [m.s]."""
-
     interface: DepthState = DepthState()
-    error_integral: float = 0.0
+    error_integral: float = variable(0.0, "int e dt", unit="m.s")
 
 
 @dataclass(frozen=True)

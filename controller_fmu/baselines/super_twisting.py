@@ -64,11 +64,9 @@ class Parameters(depth_interface.DesignParameters):
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `direction`: g of the last step; `integral_force`: nu [N]."""
-
     interface: DepthState = DepthState()
-    direction: float = 0.0
-    integral_force: float = 0.0
+    direction: float = variable(0.0, "g of the last step", min=-1.0, max=1.0)
+    integral_force: float = variable(0.0, "nu", unit="N")
 
 
 @dataclass(frozen=True)

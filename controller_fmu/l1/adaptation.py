@@ -14,28 +14,37 @@ docs/explanation/theory.md describes the step.
 from dataclasses import dataclass
 
 from controller_fmu.l1.matrices import LawMatrices, Vector, dot, relaxed
-from controller_fmu.l1.parameters import InputGainRegressor, LawParameters, Regressor
+from controller_fmu.l1.parameters import (
+    LARGEST_BOUND,
+    LARGEST_GAIN,
+    InputGainRegressor,
+    LawParameters,
+    Regressor,
+)
 from controller_fmu.l1.projection import keep_within, projection_factor
+from fmus.block import variable
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
 # of an angle: below it sin(a) / a is 1 to the last bit
 _SMALL_SQUARE = 1e-16
+# s; the mean over a shorter time is the value
+_SHORTEST = 1e-9
 # keeps the share of omega_hat finite where all gains are 0
 _SMALLEST = 1e-300
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """Prediction error x_tilde = x_hat - x and the estimates, at the time of a measurement of x.
+    """Prediction error and the estimates, at the time of a measurement of x.
 
-    sigma_u: the unmatched disturbance; only the piecewise-constant law estimates it
+    Only the piecewise-constant law estimates sigma_u. Its estimates have no bounds.
     """
 
-    x_tilde: Vector = (0.0, 0.0)
-    theta_hat: Vector = (0.0, 0.0)
-    sigma_hat: float = 0.0
-    omega_hat: float = 1.0
-    sigma_u: float = 0.0
+    x_tilde: Vector = variable((0.0, 0.0), "Prediction error x_hat - x")
+    theta_hat: Vector = variable((0.0, 0.0), "Estimate theta_hat", min=-LARGEST_BOUND, max=LARGEST_BOUND)
+    sigma_hat: float = variable(0.0, "Estimate sigma_hat")
+    omega_hat: float = variable(1.0, "Estimate of the input gain", min=0.0, max=2.0 * LARGEST_GAIN)
+    sigma_u: float = variable(0.0, "Estimate of the unmatched disturbance")
 
 
 @dataclass(frozen=True)
@@ -107,7 +116,7 @@ def adapt(
         sigma_hat=keep_within(before.sigma_hat + change * g.sigma, p.sigma_bound),
         omega_hat=p.input_gain + keep_within(away, p.input_gain_uncertainty),
     )
-    mean_eta = where(h > 0.0, lambda: integral_of_eta / h, eta)
+    mean_eta = where(h > _SHORTEST, integral_of_eta / maximum(h, _SHORTEST), eta)
     not_by_omega = 1.0 - g.omega * learnt / maximum(kappa, _SMALLEST)
     known = eta - before.omega_hat * u + not_by_omega * (mean_eta - eta)
     return after, _with_newest(known, before, after, phi, regressor(p.regressor, over.x_1), p)

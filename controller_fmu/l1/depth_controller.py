@@ -19,7 +19,14 @@ from controller_fmu.l1 import law as l1
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
 from controller_fmu.l1.matrices import Matrix, SampledLawMatrices, sampled_prediction
-from controller_fmu.l1.parameters import DEFINITIONS, EQUATIONS, LAW_LIMITS, LawParameters, law_requirements
+from controller_fmu.l1.parameters import (
+    DEFINITIONS,
+    EQUATIONS,
+    LARGEST_BOUND,
+    LAW_LIMITS,
+    LawParameters,
+    law_requirements,
+)
 from fmus.block import variable
 from fmus.block.guide import Guide, Source
 
@@ -57,7 +64,7 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         "Bound of |theta_hat|",
         unit="N",
         min=0.0,
-        max=1e6,
+        max=LARGEST_BOUND,
         source="guess that satisfies the L1-norm condition; per SI unit of the regressor",
     )
     sigma_bound: float = variable(10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="guess")

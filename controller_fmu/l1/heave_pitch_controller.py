@@ -18,7 +18,7 @@ from controller_fmu.l1 import depth_controller as axis
 from controller_fmu.l1.depth_controller import State as AxisState
 from controller_fmu.l1.law import Control
 from controller_fmu.l1.matrices import Matrix, is_hurwitz, sampled_prediction
-from controller_fmu.l1.parameters import Augmentation, ReferenceFeedforward
+from controller_fmu.l1.parameters import LARGEST_BOUND, Augmentation, ReferenceFeedforward
 from fmus.block import variable
 from fmus.block.guide import Experiment, Guide
 
@@ -98,7 +98,7 @@ class Parameters(axis.Parameters):
         "Bound of |theta_hat| of the pitch",
         unit="N.m",
         min=0.0,
-        max=1e6,
+        max=LARGEST_BOUND,
         source="guess, per SI unit of the regressor",
     )
     pitch_sigma_bound: float = variable(

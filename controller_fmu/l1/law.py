@@ -15,30 +15,27 @@ from controller_fmu.l1 import augmentation, lowpass
 from controller_fmu.l1.adaptation import Estimates, Interval, adapt
 from controller_fmu.l1.lowpass import FilterState
 from controller_fmu.l1.matrices import LawMatrices, SampledLawMatrices, Vector, dot
-from controller_fmu.l1.parameters import AdaptationLaw, Augmentation, LawParameters, ReferenceFeedforward
+from controller_fmu.l1.parameters import (
+    LONGEST_STEP,
+    AdaptationLaw,
+    Augmentation,
+    LawParameters,
+    ReferenceFeedforward,
+)
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
 from controller_fmu.l1.projection import keep_within
+from fmus.block import variable
 from fmus.numerics import where
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Measurement at one time.
+    """Measurement at one time; y and r have one unit, f has the unit of the control."""
 
-    Parameters
-    ----------
-    x : tuple of two floats
-        State of the plant.
-    y, r : float
-        Output and its reference, in one unit.
-    f : float
-        Feedforward of the reference, in the unit of the control.
-    """
-
-    x: Vector = (0.0, 0.0)
-    y: float = 0.0
-    r: float = 0.0
-    f: float = 0.0
+    x: Vector = variable((0.0, 0.0), "State x of the plant")
+    y: float = variable(0.0, "Output y")
+    r: float = variable(0.0, "Reference r of the output")
+    f: float = variable(0.0, "Feedforward f of the reference")
 
     @property
     def error(self) -> float:
@@ -48,21 +45,12 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Held:
-    """Held control.
+    """Held control; its part u_a has a feedforward outside the filter."""
 
-    Parameters
-    ----------
-    duration : float
-        How long it was held [s].
-    u : float
-        Control that the plant received.
-    u_a : float
-        Part of u that precedes the extension, with a feedforward outside the filter.
-    """
-
-    duration: float = 0.0
-    u: float = 0.0
-    u_a: float = 0.0
+    # 1e-8: equal parts of a communication step pass internal_step by rounding
+    duration: float = variable(0.0, "How long u was held", unit="s", min=0.0, max=LONGEST_STEP * (1.0 + 1e-8))
+    u: float = variable(0.0, "Control u that the plant received")
+    u_a: float = variable(0.0, "Part of u that precedes the extension")
 
 
 @dataclass(frozen=True)
@@ -79,8 +67,6 @@ class LawState:
         Control that the plant received since `measured`.
     filter : FilterState
         At the end of the last step.
-    integral : float
-        int K_I e dt at the end of the last step.
     sample : Sample
         `sample.x` is the state at the time of the estimates.
     """
@@ -90,7 +76,7 @@ class LawState:
     held: Held = Held()
     filter: FilterState = FilterState()
     # with the gain inside, a change of K_I during a run makes no jump of the control
-    integral: float = 0.0
+    integral: float = variable(0.0, "int K_I e dt at the end of the last step")
     sample: Sample = Sample()
 
 

@@ -15,25 +15,18 @@ from dataclasses import dataclass
 
 from controller_fmu.anti_windup import widens
 from controller_fmu.l1.parameters import FilterOrder
+from fmus.block import variable
 from fmus.numerics import where
 
 
 @dataclass(frozen=True)
 class FilterState:
-    """State of the filter.
-
-    Parameters
-    ----------
-    u_a : float
-        In the unit of the control.
-    p_1, p_2 : float
-        Of the third order; 0 for the first order.
-    """
+    """State of the filter; p_1 and p_2 are 0 for the first order."""
 
     # u_a itself is a state: a change of w during a run makes no jump of the control
-    u_a: float = 0.0
-    p_1: float = 0.0
-    p_2: float = 0.0
+    u_a: float = variable(0.0, "Adaptive control u_a")
+    p_1: float = variable(0.0, "State p_1 of the third order")
+    p_2: float = variable(0.0, "State p_2 of the third order")
 
 
 def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: float) -> tuple[float, float]:

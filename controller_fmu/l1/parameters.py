@@ -130,6 +130,10 @@ class PlantParameters:
     small_error_gain: float
 
 
+# Limits of parameters, from which ranges of states follow: s, bound of theta_hat, input gain.
+LONGEST_STEP, LARGEST_BOUND, LARGEST_GAIN = 10.0, 1e6, 1e3
+
+
 @dataclass(frozen=True)
 class LawParameters(PlantParameters):
     """Parameters of every block with this law."""
@@ -139,7 +143,7 @@ class LawParameters(PlantParameters):
         "Longest internal step; one for each communication step is best",
         unit="s",
         min=1e-7,
-        max=10.0,
+        max=LONGEST_STEP,
         variability="fixed",
     )
     regressor: Regressor = variable(
@@ -164,7 +168,7 @@ class LawParameters(PlantParameters):
         1.0,
         "Centre of the box of omega_hat, and its initial value",
         min=1e-3,
-        max=1e3,
+        max=LARGEST_GAIN,
         variability="fixed",
         source="published: omega = 1",
     )
@@ -172,7 +176,7 @@ class LawParameters(PlantParameters):
         0.0,
         "Half-width of the box of omega_hat; 0 holds it",
         min=0.0,
-        max=1e3,
+        max=LARGEST_GAIN,
         source="published: omega is known",
     )
     filter_bandwidth: float = variable(
@@ -203,7 +207,7 @@ class LawParameters(PlantParameters):
         "Sampling period Ts of the piecewise-constant law",
         unit="s",
         min=1e-6,
-        max=10.0,
+        max=LONGEST_STEP,
         variability="fixed",
         source="guess",
     )

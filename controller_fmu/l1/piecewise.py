@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 from controller_fmu.l1.adaptation import Estimates, Interval
 from controller_fmu.l1.matrices import SampledLawMatrices, Vector, dot
-from controller_fmu.l1.parameters import LawParameters
+from controller_fmu.l1.parameters import LONGEST_STEP, LawParameters
+from fmus.block import variable
 from fmus.numerics import matmul, maximum, where
 
 # of a period: sums of communication steps are rounded
@@ -29,12 +30,12 @@ _SHORTEST = 1e-300
 
 @dataclass(frozen=True)
 class Sample:
-    """Sample: its state x and, since then, the duration [s] and the integrals of x and of u."""
+    """Sample, and integrals since then."""
 
-    x: Vector = (0.0, 0.0)
-    duration: float = 0.0
-    x_integral: Vector = (0.0, 0.0)
-    u_integral: float = 0.0
+    x: Vector = variable((0.0, 0.0), "State x at the sample")
+    duration: float = variable(0.0, "Time since the sample", unit="s", min=0.0, max=LONGEST_STEP)
+    x_integral: Vector = variable((0.0, 0.0), "Integral of x since the sample")
+    u_integral: float = variable(0.0, "Integral of u since the sample")
 
 
 def adapt_at_samples(

@@ -21,6 +21,7 @@ from controller_fmu.l1.matrices import (
 from controller_fmu.l1.parameters import (
     DEFINITIONS,
     EQUATIONS,
+    LARGEST_BOUND,
     LAW_LIMITS,
     Augmentation,
     LawParameters,
@@ -63,7 +64,9 @@ class Parameters(LawParameters):
     lyapunov_weight: Vector = variable(
         (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source=_BOOK
     )
-    theta_bound: Vector = variable((10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source=_BOOK)
+    theta_bound: Vector = variable(
+        (10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=LARGEST_BOUND, source=_BOOK
+    )
     sigma_bound: float = variable(
         0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6, source="published: sigma = 0"
     )

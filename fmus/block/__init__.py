@@ -17,7 +17,15 @@ from typing import Any
 from fmus.block.guide import NO_GUIDE, Guide
 from fmus.block.integration import between_events, rk4_step
 from fmus.block.scalars import flatten, unflatten
-from fmus.block.variables import ROLES, BlockVariable, plain, restarted, scalar_variables, variable
+from fmus.block.variables import (
+    ROLES,
+    BlockVariable,
+    plain,
+    restarted,
+    scalar_variables,
+    state_variables,
+    variable,
+)
 from fmus.errors import nearest
 
 __all__ = ["Block", "NoValues", "variable"]
@@ -251,6 +259,11 @@ class Block:
             states.extend(scalar_variables(declared, "continuous", first + len(states), "state."))
         rates = [v.derivative(v.value_reference + len(states)) for v in states]
         return (*states, *rates)
+
+    @cached_property
+    def state_variables(self) -> tuple[BlockVariable, ...]:
+        """Scalars of the whole state with their ranges; the place of each is its place in the state."""
+        return tuple(state_variables(self.state()))
 
     @cached_property
     def advance(self) -> Callable[..., Any]:

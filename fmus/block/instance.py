@@ -192,16 +192,18 @@ class BlockInstance:
                 raise BlockError(f"state of {format_and_origin!r}: expected {(_FORMAT, self.fingerprint)!r}")
             values, time = list(saved["values"]), float(saved["time"])
             stepping, scalars = bool(saved["stepping"]), list(map(float, saved["state"]))
-            if not all(map(math.isfinite, [time, *scalars, *map(float, values)])):
+            if not all(map(math.isfinite, [time, *map(float, values)])):
                 raise ValueError("a number that is not finite")
         except BlockError:
             raise
         except (ValueError, KeyError, TypeError) as error:
             raise BlockError(f"not a serialised state of {self.block.name}: {error}") from error
-        if len(values) != len(self._values):
-            raise BlockError(f"state with {len(values)} values: expected {len(self._values)}")
-        for v, value in zip(self.block.variables, values, strict=True):
-            reason = v.refuse(value) if v.settable else None
+        got, expected = (len(values), len(scalars)), (len(self._values), len(self.block.state_variables))
+        if got != expected:
+            raise BlockError(f"state with {got} values and states: expected {expected}")
+        variables = (*self.block.variables, *self.block.state_variables)
+        for v, value in zip(variables, [*values, *scalars], strict=True):
+            reason = v.refuse(value) if v.settable or v.causality == "local" else None
             if reason:
                 raise BlockError(f"state of {self.block.name}: {reason}")
         restored = BlockInstance(self.block, self.fingerprint)

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import Field, dataclass, field, fields, make_dataclass, replace
+from dataclasses import Field, dataclass, field, fields, is_dataclass, make_dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, Literal, TypeVar
 
+from fmus.block.scalars import members
 from fmus.block.units import per_second
 
 Value = float | int | bool
@@ -149,7 +150,8 @@ class BlockVariable:
         low, high = self.minimum, self.maximum
         if not math.isfinite(value):
             return f"{self.name} = {value!r}: expected a finite number"
-        unknown = self.enumeration and value not in list(self.enumeration)
+        whole = {"Boolean": (0, 1), "Integer": (round(value),)}
+        unknown = value not in list(self.enumeration or whole.get(self.type, [value]))
         outside = (low is not None and value < low) or (high is not None and value > high)
         return f"{self.name} = {value!r}: expected {self.expected}" if unknown or outside else None
 
@@ -176,6 +178,7 @@ ROLES = {
     "outputs": ("output", "continuous", "calculated"),
 }
 _OF_STATES = ("local", "continuous", "calculated")
+_UNDECLARED: Any = variable(0.0, "")
 
 
 def scalar_variables(
@@ -198,6 +201,23 @@ def scalar_variables(
             **{name: _at(value, index) if is_real else None for name, value in said["units"].items()},
             **{name: _at(value, index) for name, value in said["ranges"].items()},
         )
+
+
+def state_variables(state: Any, said: Mapping[str, Any] = {}, path: str = "") -> Iterator[BlockVariable]:
+    """Yields the scalars of a state, named by their paths; a plain one has the whole range of its type.
+
+    said: metadata of its declaration
+    """
+    if is_dataclass(state):
+        for part in fields(state):
+            yield from state_variables(getattr(state, part.name), part.metadata, f"{path}.{part.name}")
+    elif isinstance(state, tuple) and any(map(is_dataclass, state)):
+        for index, part in members(state) or ():
+            yield from state_variables(part, path=path + index)
+    else:
+        declared: Any = field(default=state, metadata=said if "ranges" in said else _UNDECLARED.metadata)
+        declared.name = path.lstrip(".")
+        yield from scalar_variables(declared, "state", 0)
 
 
 def _elements(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Any]]:

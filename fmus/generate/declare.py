@@ -22,6 +22,7 @@ _VARIABILITIES = {
     "inputs": ("continuous", "discrete"),
     "outputs": ("continuous", "discrete"),
     "continuous": ("continuous",),
+    "state": ("continuous", "discrete"),
 }
 _ARGUMENTS = {
     "calculate": ("parameters",),
@@ -60,14 +61,14 @@ def check_declaration(block: Block) -> None:
             if other := owners.get(declared.name):
                 raise _refusal(block, cls, declared.name, f"expected another name, {other} has it too")
             owners[declared.name] = cls.__name__
-    count = len(fields(block.continuous))
-    for i, declared in enumerate(fields(block.state)):
-        for reason in _continuous_mistakes(declared) if i < count else _state_mistakes(declared):
-            raise _refusal(block, block.state, declared.name, reason)
+    continuous = fields(block.continuous)
+    for cls, declared in _state_fields(block.state, block.state):
+        for reason in _continuous_mistakes(declared) if declared in continuous else _state_mistakes(declared):
+            raise _refusal(block, cls, declared.name, reason)
     for cls, name, reason in _shape_mistakes([*classes.values(), block.state]):
         raise _refusal(block, cls, name, reason)
-    classes["local"] = block.continuous
-    for v in (*block.variables, *block.states):
+    classes["local"] = block.state
+    for v in (*block.variables, *block.states, *block.state_variables):
         for reason in _value_mistakes(v):
             raise _refusal(block, classes[v.causality], v.name.removeprefix("state."), reason)
     for name in _ARGUMENTS:
@@ -146,10 +147,21 @@ def _mistakes(declared: Field, role: str) -> Iterator[str]:
 def _state_mistakes(declared: Field) -> Iterator[str]:
     if declared.default is MISSING:
         yield f"expected a value to start from, {declared.name}: float = 0.0"
-    elif isinstance(declared.default, Field) or "units" in declared.metadata:
-        yield f"expected a plain value, {declared.name}: float = 0.0; a state is no variable of the FMU"
+    elif "units" in declared.metadata:
+        yield from _mistakes(declared, "state")
+    elif isinstance(declared.default, Field):
+        yield f"expected a value to start from, {declared.name}: float = variable(0.0, ...)"
     else:
         yield from _type_mistakes(declared)
+
+
+def _state_fields(cls: type, state: type) -> Iterator[tuple[type, Field]]:
+    """Yields (class, field) for each field of a state, and for the parts of it that `variable` declares."""
+    for declared in fields(cls):
+        if cls is state or "units" in declared.metadata:
+            yield cls, declared
+        for part in filter(is_dataclass, _parts(declared.default)):
+            yield from _state_fields(type(part), state)
 
 
 def _continuous_mistakes(declared: Field) -> Iterator[str]:
@@ -225,7 +237,7 @@ def _value_mistakes(v: BlockVariable) -> Iterator[str]:
             yield f"{name} {number!r}: expected a finite number"
     if v.minimum is not None and v.maximum is not None and v.minimum > v.maximum:
         yield f"min {v.minimum!r} is above max {v.maximum!r}"
-    if v.settable and (refused := v.refuse(v.start)):
+    if (v.settable or v.causality == "local") and (refused := v.refuse(v.start)):
         yield f"start {refused.partition(' = ')[2]}"
     try:
         if v.unit is not None:

@@ -6,14 +6,14 @@ has no heap, no global state, no header of FMI, and one loop, over the internal 
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
 
 from fmus.block.scalars import flatten
+from fmus.block.variables import BlockVariable
 from fmus.generate.c_code import CFunction, ScalarC, c_function, c_functions
-from fmus.generate.declare import scalar_names
 from fmus.generate.operations import Operation
 from fmus.generate.trace import Traced
 from fmus.generate.verify import check_sampling, check_trace
@@ -48,12 +48,9 @@ class FirmwareC(ScalarC):
     def __init__(self, traced: Traced) -> None:
         block = traced.block
         self.name = block.name
-        described = {
-            column: {v.name: f"{v.description}: {v.expected}" for v in block.of_causality(causality)}
-            for column, causality in _CAUSALITIES.items()
-        }
-        described["x"] = {name: name for name in scalar_names(block.state())}
-        self.members = {column: dict(_members(texts)) for column, texts in described.items()}
+        variables = {column: block.of_causality(causality) for column, causality in _CAUSALITIES.items()}
+        variables["x"] = block.state_variables
+        self.members = {column: dict(_members(those)) for column, those in variables.items()}
         self.members["next"] = self.members["x"]
         self._names = {column: [*members] for column, members in self.members.items()}
 
@@ -66,15 +63,15 @@ class FirmwareC(ScalarC):
         return f"{column}->{self._names[column][int(index[:-1])]}" if column in _STRUCTS else operation.text
 
 
-def _members(described: dict[str, str]) -> Iterator[tuple[str, str]]:
+def _members(variables: Sequence[BlockVariable]) -> Iterator[tuple[str, str]]:
     """Yields the name in C and the comment of each variable: `theta[1,2]` is theta_1_2."""
     taken: set[str] = {*_RESERVED.split()}
-    for name, text in described.items():
-        member = re.sub(r"\W+", "_", name).strip("_")
+    for v in variables:
+        member = re.sub(r"\W+", "_", v.name).strip("_")
         while member in taken:
             member += "_"
         taken.add(member)
-        yield member, text.replace("*/", "* /")
+        yield member, f"{v.description or v.name}: {v.expected}".replace("*/", "* /")
 
 
 def write_firmware(traced: Traced, folder: Path, microcontroller: str) -> list[Path]:

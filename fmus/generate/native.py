@@ -122,7 +122,9 @@ def _tables(traced: Traced, reals_only: bool, fmi: int) -> dict[str, object]:
         "others": len(others),
         "has_derivative": int(block.derivative is not None),
         "nominals": ", ".join(repr(float(v.nominal or 1.0)) for v in block.states) or "0",
-        "variables": ",\n".join(_row(v, reals_only) for v in described),
+        "variables": ",\n".join(
+            [*(_row(v, reals_only) for v in described), *(_row(v, True) for v in block.state_variables)]
+        ),
         "access": ", ".join(_access(v, reals_only, fmi) for v in described),
         "required": ",\n".join(f"    {_string(text)}" for text in (*traced.required, "")),
     }
@@ -147,7 +149,8 @@ def _range(v: BlockVariable) -> tuple[float, float]:
     """Returns the range that the C layer accepts: the declared limits, else the range of the type."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
-    low, high = INTEGER_RANGE if v.type == "Integer" else (-sys.float_info.max, sys.float_info.max)
+    is_wide = v.type == "Real" or v.causality == "local"
+    low, high = (-sys.float_info.max, sys.float_info.max) if is_wide else INTEGER_RANGE
     return float(low if v.minimum is None else v.minimum), float(high if v.maximum is None else v.maximum)
 
 

@@ -6,7 +6,6 @@ much when its arguments change by a few units in the last place. Any other diffe
 
 import math
 import random
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from typing import Any
@@ -15,11 +14,11 @@ import numpy as np
 
 from fmus.block import Block
 from fmus.block.scalars import flatten, members, unflatten
-from fmus.block.variables import BlockVariable
 from fmus.errors import ExportError
 from fmus.generate.declare import scalar_names
 from fmus.generate.guard import NO_MEMORY, location, own_line
 from fmus.generate.native import ShippedLibrary
+from fmus.generate.random_points import disturbed, drawn, is_limited, rounded
 from fmus.generate.trace import Traced
 from fmus.numerics import Clock
 from fmus.numerics.symbols import are_numbers
@@ -37,11 +36,6 @@ _COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, a
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 _OF_CONTINUOUS = ("derivative", "crossings")
 _INTEGRATED = "as the function integrate has it in a short step"
-# both signs, and halves, whose rounding differs between functions
-_SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)
-_ULP = 2.0**-52
-# A longer vector counts as a table, whose order the requirements of a block ask for.
-_LONGEST_VECTOR = 9
 # After so many internal steps, one that is half a per cent longer than the period is late.
 _INTERNAL_STEPS = 200
 # relative: two ways to the same derivative
@@ -151,7 +145,7 @@ class Comparison:
         """Returns the distances that the numbers move when the arguments change by roundings."""
         moved = [0.0] * len(numbers)
         for _ in range(_PERTURBATIONS):
-            other = self._evaluate([_rounded(argument, rng) for argument in arguments])[1] or numbers
+            other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
             moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
         return moved
 
@@ -222,23 +216,62 @@ def _compare_at_a_point(
     _check_whole(block, "calculate", block.calculated, c)
     # a run may begin before 0
     t = 0.0 if at_start else rng.uniform(-0.5, 1.0) * block.stop_time
-    x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
+    reached, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
     for _ in range(_STEPS):
         u = drawn(block, "input", block.inputs, changed, rng)
-        is_reached = x is None
-        x = compare["initial_state"](t, u, p, c) if x is None else _disturbed(x, rng)
+        is_reached = reached is None
+        x = compare["initial_state"](t, u, p, c) if is_reached else disturbed(block, reached, rng)
         if x is None:
             return
+        if is_reached:
+            _check_ranges(block, "initial_state", x, {"t": t}, u, p)
         y = compare["output"](t, x, p, c, is_reached=is_reached)
         for name in _OF_CONTINUOUS if block.derivative else ():
             compare[name](t, x, u, p, c, is_reached=is_reached)
-        x, t = compare["step"](t, h, x, u, p, c, is_reached=is_reached), t + h
-        if x is not None:
-            _check_whole(block, "step", block.state, x)
+        after = compare["step"](t, h, x, u, p, c, is_reached=is_reached)
+        times = {"t": t, "h": h}
+        if after is not None:
+            _check_whole(block, "step", block.state, after)
+            _check_ranges(block, "step", after, times, u, p, x)
+        elif not is_reached:
+            _check_limited(block, compare["step"], reached, x, (t, h, u, p, c))
+        reached, t = after, t + h
         if is_reached:
-            reached = y, None if x is None else compare["output"](t, x, p, c)
-            for outputs in filter(None, reached):
+            for outputs in filter(
+                None, (y, None if reached is None else compare["output"](t, reached, p, c))
+            ):
                 _check_whole(block, "output", block.outputs, outputs)
+
+
+def _check_ranges(block: Block, name: str, state: Any, *point: Any) -> None:
+    """Raises ExportError if a function gives a state outside its range; point: its arguments."""
+    for v, value in zip(block.state_variables, flatten(state), strict=True):
+        if reason := v.refuse(value):
+            where = f"block {block.name!r}: {location(getattr(block, name))}{name}"
+            raise ExportError(f"{where} gives {reason}{_at(block, *point)}")
+
+
+def _check_limited(block: Block, step: Comparison, reached: Any, state: Any, point: Sequence[Any]) -> None:
+    """Raises ExportError if a step has no finite numbers because of states with declared limits alone.
+
+    reached, state: the state before and after it was disturbed; point: the other arguments of `step`
+    """
+    t, h, u, p, c = point
+    pairs = zip(block.state_variables, flatten(state), flatten(reached), strict=True)
+    limited = unflatten(reached, [x if is_limited(v) else before for v, x, before in pairs])
+    calls = [step(t, h, x, u, p, c, is_reached=False) for x in (reached, limited)]
+    if calls[0] is not None and calls[1] is None:
+        where = f"block {block.name!r}: {location(block.step)}step"
+        at = _at(block, {"t": t, "h": h}, u, p, limited)
+        raise ExportError(f"{where} gives no finite number for a state in its range{at}")
+
+
+def _at(block: Block, times: dict[str, float], u: Any, p: Any, state: Any = None) -> str:
+    """Returns a point in words: times, and the values that differ from the start values."""
+    scalars = [*flatten(p), *flatten(u), *(flatten(state) if state else ())]
+    variables = *block.of_causality("parameter"), *block.of_causality("input"), *block.state_variables
+    changed = {v.name: x for v, x in zip(variables, scalars, strict=False) if x != v.start}
+    return " at " + ", ".join(f"{name} = {x + 0!r}" for name, x in (times | changed).items())
 
 
 def _compare_at_zeros(block: Block, compare: dict[str, Comparison]) -> None:
@@ -295,77 +328,6 @@ def _described(error: Exception) -> str:
 def _are_near(x: float, y: float, allowed: float) -> bool:
     # written so that it is false for NaN
     return abs(x - y) <= allowed
-
-
-# random points
-
-
-def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
-    """Returns parameters or inputs with random values in place of some start values.
-
-    changed: the share of drawn numbers; choices are all drawn, unless it is 0
-    """
-    # Requirements refuse most draws that change many numbers, but few that change choices. They ask for the
-    # order of a table: all its numbers are multiplied by one factor.
-    variables = block.of_causality(causality)
-    counts = Counter(_vector(v) for v in variables)
-    factors: dict[str, float] = {}
-
-    def value(v: BlockVariable) -> Any:
-        if counts[_vector(v)] > _LONGEST_VECTOR and v.type == "Real":
-            if _vector(v) not in factors:
-                factors[_vector(v)] = rng.uniform(0.5, 1.5) if rng.random() < changed else 1.0
-            number = v.start * factors[_vector(v)]
-            return number if v.refuse(number) is None else v.start
-        is_choice = changed > 0.0 and v.type in ("Boolean", "Enumeration")
-        return _draw(v, rng) if is_choice or rng.random() < changed else v.start
-
-    return unflatten(template, list(map(value, variables)))
-
-
-def _vector(v: BlockVariable) -> str:
-    """Returns the name of the vector that a variable belongs to, or the name of any other variable."""
-    return v.name.partition("[")[0]
-
-
-def _draw(v: BlockVariable, rng: random.Random) -> Any:
-    """Returns a permitted value: near the start value, anywhere in the range, at its ends, or special."""
-    if v.enumeration:
-        return rng.choice(list(v.enumeration))
-    if v.type == "Boolean":
-        return rng.random() < 0.5
-    low, high = (v.minimum, v.maximum)
-    low, high = (v.start - 10 if low is None else low), (v.start + 10 if high is None else high)
-    if v.type == "Integer":
-        return rng.randint(int(low), int(high))
-    near = v.start * rng.uniform(0.5, 1.5) + (0.0 if v.start else rng.uniform(-1.0, 1.0))
-    anywhere = (
-        math.exp(rng.uniform(math.log(low), math.log(high))) if 0.0 < low < high else rng.uniform(low, high)
-    )
-    value = rng.choice((near, near, anywhere, rng.choice((low, high)), rng.choice(_SPECIAL)))
-    return float(min(max(value, low), high))
-
-
-def _disturbed(state: Any, rng: random.Random) -> Any:
-    """Returns a state near another one; the block may be unable to reach it."""
-
-    def change(x: Any) -> Any:
-        if isinstance(x, IntEnum | bool):
-            return rng.choice(list(type(x)) if isinstance(x, IntEnum) else (False, True))
-        if isinstance(x, int):
-            return x + rng.choice((0, 0, -1, 1))
-        return rng.choice((x, x, x * rng.uniform(0.5, 1.5), x + rng.uniform(-1.0, 1.0), rng.choice(_SPECIAL)))
-
-    return unflatten(state, list(map(change, flatten(state))))
-
-
-def _rounded(argument: Any, rng: random.Random) -> Any:
-    """Returns an argument whose floats are changed by a few units in the last place."""
-
-    def change(x: Any) -> Any:
-        return x * (1.0 + rng.choice((-2, -1, 0, 1, 2)) * _ULP) if isinstance(x, float) else x
-
-    return unflatten(argument, list(map(change, flatten(argument))))
 
 
 # samples: `sampled` takes one in a step at most

@@ -195,49 +195,25 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
 }
 
 /* 4.2.3; 4.2.4: when a step is complete, and after the end. No step is ever pending: only the last successful time
- * and the end are available; a status that cannot be given is discarded. */
+ * and the end, which is never the model's, are available; a status that cannot be given is discarded. */
+#define DEFINE_STATUS(Name, CType, is_available, status)                                                        \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2StatusKind s, CType *value) {                           \
+        Instance *instance = c;                                                                                 \
+        if (!is_of(instance, CO_SIMULATION, "fmi2Get" #Name)) return fmi2Error;                                 \
+        if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2Get" #Name)) return fmi2Error;                    \
+        if (!(is_available))                                                                                    \
+            return refuse(instance, fmi2Discard,                                                                \
+                          "fmi2Get" #Name ": status kind %d: not available, steps are never asynchronous", s);  \
+        if (!value) return missing(instance, "fmi2Get" #Name, "value");                                         \
+        *value = status;                                                                                        \
+        return fmi2OK;                                                                                          \
+    }
 
-static fmi2Status no_status(Instance *instance, fmi2StatusKind kind, const char *function) {
-    if (!is_of(instance, CO_SIMULATION, function)) return fmi2Error;
-    if (!is_allowed(instance, STEPPING | TERMINATED, function)) return fmi2Error;
-    return refuse(instance, fmi2Discard,
-                  "%s: status kind %d: not available, steps are never asynchronous", function, kind);
-}
-
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
-    (void)value;
-    return no_status(c, s, "fmi2GetStatus");
-}
-
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
-    Instance *instance = c;
-    if (s != fmi2LastSuccessfulTime) return no_status(instance, s, "fmi2GetRealStatus");
-    if (!is_of(instance, CO_SIMULATION, "fmi2GetRealStatus")) return fmi2Error;
-    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
-    if (!value) return missing(instance, "fmi2GetRealStatus", "value");
-    *value = instance->data.time;
-    return fmi2OK;
-}
-
-fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
-    (void)value;
-    return no_status(c, s, "fmi2GetIntegerStatus");
-}
-
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
-    Instance *instance = c;
-    if (s != fmi2Terminated) return no_status(instance, s, "fmi2GetBooleanStatus");
-    if (!is_of(instance, CO_SIMULATION, "fmi2GetBooleanStatus")) return fmi2Error;
-    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
-    if (!value) return missing(instance, "fmi2GetBooleanStatus", "value");
-    *value = fmi2False; /* the model never ends the simulation */
-    return fmi2OK;
-}
-
-fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
-    (void)value;
-    return no_status(c, s, "fmi2GetStringStatus");
-}
+DEFINE_STATUS(Status, fmi2Status, 0, fmi2OK)
+DEFINE_STATUS(RealStatus, fmi2Real, s == fmi2LastSuccessfulTime, instance->data.time)
+DEFINE_STATUS(IntegerStatus, fmi2Integer, 0, 0)
+DEFINE_STATUS(BooleanStatus, fmi2Boolean, s == fmi2Terminated, fmi2False)
+DEFINE_STATUS(StringStatus, fmi2String, 0, NULL)
 
 /* 3.2.2; 3.2.3: in event mode. */
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *fmi2eventInfo) {

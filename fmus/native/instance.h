@@ -54,6 +54,7 @@ static void data_reset(Data *d) {
     d->mode = INSTANTIATED;
     d->parameters_are_stale = d->outputs_are_stale = 1;
     for (int i = 0; i < N_VALUES; i++) d->value[i] = VARIABLES[i].start;
+    for (int i = 0; i < N_STATES; i++) d->state[i] = VARIABLES[N_VARIABLES + i].start;
 }
 
 /* In how many internal steps `data_step` takes a step of size h. */

@@ -74,7 +74,7 @@ static OUTLINED int is_consistent(const Data *d) {
     good = good && isfinite(d->time);
     good = good && is_flag(d->parameters_are_stale) && is_flag(d->outputs_are_stale);
     good = good && is_flag(d->inputs_have_rates);
-    good = good && are_finite(d->input_rate, N_INPUTS) && are_finite(d->state, N_STATES);
+    good = good && are_finite(d->input_rate, N_INPUTS);
     good = good && can_be_read(d->value + FIRST_OUTPUT);
     for (int i = 0; i < N_VALUES; i++)
         good = good && (is_settable(i) ? is_acceptable(i, d->value[i]) : is_item(i, d->value[i]));

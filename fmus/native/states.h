@@ -14,6 +14,17 @@ static OUTLINED const Snapshot *own_snapshot(Instance *instance, void *FMUState,
     return NULL;
 }
 
+/* Whether every state is in its range; the message names the first that is not. */
+static OUTLINED int are_in_range(Instance *instance, const double *state, const char *function) {
+    for (int i = 0; i < N_STATES; i++) {
+        const Variable *v = VARIABLES + N_VARIABLES + i;
+        if (is_acceptable(N_VARIABLES + i, state[i])) continue;
+        refuse(instance, ERROR, "%s: %s = %s: expected %s", function, v->name, DECIMAL(state[i]), v->expected);
+        return 0;
+    }
+    return 1;
+}
+
 Status FMI(GetFMUState)(void *c, void **FMUState) {
     Instance *instance = c;
     Snapshot *snapshot;
@@ -33,6 +44,7 @@ Status FMI(SetFMUState)(void *c, void *FMUState) {
     if (!snapshot) return ERROR;
     if (!snapshot->data.face != !((Instance *)c)->data.face)
         return refuse(c, ERROR, NAME(SetFMUState) ": the state is of the other interface");
+    if (!are_in_range(c, snapshot->data.state, NAME(SetFMUState))) return ERROR;
     ((Instance *)c)->data = snapshot->data;
     ((Instance *)c)->step_cache.is_stale = 1;
     return OK;
@@ -76,6 +88,7 @@ Status FMI(DeserializeFMUState)(void *c, const FMI(Byte) serializedState[], size
     if (*FMUState && !own_snapshot(instance, *FMUState, NAME(DeserializeFMUState))) return ERROR;
     reason = deserialize((const unsigned char *)serializedState, size, &restored);
     if (reason) return refuse(instance, ERROR, NAME(DeserializeFMUState) ": %s", reason);
+    if (!are_in_range(instance, restored.data.state, NAME(DeserializeFMUState))) return ERROR;
     if (!*FMUState) *FMUState = calloc(1, sizeof restored);
     if (!*FMUState) return refuse(instance, ERROR, NAME(DeserializeFMUState) ": no memory");
     *(Snapshot *)*FMUState = restored;

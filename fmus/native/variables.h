@@ -60,7 +60,7 @@ enum {
     N_VALUES = FIRST_OUTPUT + N_OUTPUTS,
     FIRST_DERIVATIVE = N_VALUES + N_CONTINUOUS,
     TIME = FIRST_DERIVATIVE + N_CONTINUOUS, /* then event indicators */
-    N_VARIABLES = TIME + N_OTHERS,
+    N_VARIABLES = TIME + N_OTHERS, /* and first row of the states in VARIABLES */
     N_SEEDS = TIME + 1 + N_STATES /* of derivatives: of the variables, the time, and states that are no variables */
 };
 
@@ -75,7 +75,7 @@ static int is_settable(int reference) { return ACCESS[reference].settable != NEV
  * variable without a range has the range of double. */
 static int is_acceptable(int reference, double value) {
     const Variable *v = VARIABLES + reference;
-    if (!(value >= v->min && value <= v->max) || (v->whole && value != (int)value)) return 0;
+    if (!(value >= v->min && value <= v->max) || (v->whole && value != floor(value))) return 0;
     return !v->items || v->items >> (int)value & 1;
 }
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from fmus.block.integration import DUE, rk4_step
+from fmus.block.variables import variable
 from fmus.numerics.choice import where
 
 __all__ = ["Clock", "at_events", "rk4_step", "sampled"]
@@ -18,12 +19,7 @@ _LATE = 0.5
 class Clock:
     """Clock of samples, which are due at start + count * period.
 
-    Parameters
-    ----------
-    start : float
-        Time of the first sample [s]; `Clock(t)` in `initial_state` for a sample in the first step.
-    count : int
-        Samples taken since.
+    Take `Clock(t)` in `initial_state` for a sample in the first step.
 
     Examples
     --------
@@ -33,8 +29,8 @@ class Clock:
 
     # counted and not summed: a sum of periods would accumulate their rounding
 
-    start: float = 0.0
-    count: int = 0
+    start: float = variable(0.0, "Time of the first sample", unit="s")
+    count: int = variable(0, "Samples taken since", min=0)
 
     def next_sample(self, period: float) -> float:
         """Returns the time of the next sample [s].

@@ -1,8 +1,6 @@
 """The program that is proved: the C file of a microcontroller, called from every state and input of a box."""
 
 import math
-import random
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +10,7 @@ from fmus.generate.c_code import CFunction
 from fmus.generate.firmware import FirmwareC, firmware_sources
 from fmus.generate.trace import Traced
 
-_RUNS, _STEPS, _WIDER = 20, 300, 100.0
-# of an input without a range, of a state, and of the time [s]
+# of an input or a state without a range, and of the time [s]
 LARGEST_INPUT, LARGEST_STATE, LARGEST_TIME = 1e3, 1e6, 1e6
 REACHED = "Frama_C_show_each_end"
 _MAIN = """
@@ -66,53 +63,18 @@ class Shown(FirmwareC):
 def boxes(traced: Traced) -> tuple[list[Interval], list[Interval]]:
     """Returns the ranges of the Real inputs and of the states."""
     block = traced.block
-    inputs = [_input(v) for v in block.of_causality("input") if v.type == "Real"]
-    names = FirmwareC(traced).members["x"]
-    reached = zip(names, *_reached(traced), strict=True)
-    return inputs, [_state(name, low, high) for name, low, high in reached]
+    inputs = [_interval(v, v.name, LARGEST_INPUT) for v in block.of_causality("input") if v.type == "Real"]
+    states = zip(block.state_variables, FirmwareC(traced).members["x"], strict=True)
+    return inputs, [_interval(v, name, LARGEST_STATE) for v, name in states]
 
 
-def _input(v: BlockVariable) -> Interval:
-    is_declared = v.minimum is not None and v.maximum is not None
-    low = -LARGEST_INPUT if v.minimum is None else float(v.minimum)
-    high = LARGEST_INPUT if v.maximum is None else float(v.maximum)
-    return Interval(v.name, low, high, "declared" if is_declared else "chosen")
-
-
-def _state(name: str, low: float, high: float) -> Interval:
-    """Returns the box of a state: a hundred times what random steps reach, or with its sign twice as wide."""
-    if low >= 0 and high > 0:
-        return Interval(name, low / 2, 2 * high, "twice what random steps reach")
-    wide = min(_WIDER * max(-low, high, 1.0), LARGEST_STATE)
-    return Interval(name, -wide, wide, "100 times what random steps reach")
-
-
-def _reached(traced: Traced) -> tuple[list[float], list[float]]:
-    """Returns the least and largest value of each state in random steps, each run until it is not finite."""
-    block, numbers = traced.block, random.Random(1)
-    h, p = block.step_size, flatten(block.parameters())
-    c = traced.calculate(p)
-    states = []
-    for run in range(_RUNS):
-        u = [float(value) for value in flatten(block.inputs())]
-        x = traced.initial_state(0.0, u, p, c)
-        for i in range(_STEPS):
-            if not i % (1 + numbers.randrange(50)):
-                u = list(_inputs(traced, numbers, LARGEST_INPUT if not run % 5 else 1.0))
-            x = traced.step(i * h, h, x, u, p, c).full().ravel().tolist()
-            if not all(map(math.isfinite, x)):
-                break
-            states.append(x)
-    columns = [*zip(*states, strict=True)] or [(-LARGEST_STATE, LARGEST_STATE)] * traced.step.numel_out(0)
-    return [min(column) for column in columns], [max(column) for column in columns]
-
-
-def _inputs(traced: Traced, numbers: random.Random, largest: float) -> Iterator[float]:
-    for v in traced.block.of_causality("input"):
-        box = _input(v)
-        is_real = v.type == "Real"
-        low, high = max(box.low, -largest), min(box.high, largest)
-        yield numbers.uniform(low, high) if is_real and low <= high else float(v.start)
+def _interval(v: BlockVariable, name: str, largest: float) -> Interval:
+    """Returns the range of a variable; largest: limit where it has none."""
+    items = [*(v.enumeration or ((0, 1) if v.type == "Boolean" else ()))]
+    low, high = (min(items), max(items)) if items else (v.minimum, v.maximum)
+    is_declared = low is not None and high is not None
+    low, high = (-largest if low is None else low), (largest if high is None else high)
+    return Interval(name, float(low), float(high), "declared" if is_declared else "chosen")
 
 
 def harness(traced: Traced, inputs: list[Interval], states: list[Interval]) -> str:

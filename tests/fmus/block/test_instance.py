@@ -71,8 +71,18 @@ def damaged(driver: Any, key: str, index: int | slice, value: Any) -> str:
         (lambda d: d.instance.restore("{}"), "not a serialised state of RovDepthPlant"),
         (lambda d: d.instance.restore("nonsense"), "not a serialised state of RovDepthPlant"),
         (lambda d: d.instance.restore(damaged(d, "state", 0, "x")), "not a serialised state"),
-        (lambda d: d.instance.restore(damaged(d, "state", 0, math.nan)), "not finite"),
-        (lambda d: d.instance.restore(damaged(d, "state", slice(0, 0), [0.0])), "too many"),
+        (
+            lambda d: d.instance.restore(damaged(d, "state", 0, math.nan)),
+            "depth = nan: expected a finite number",
+        ),
+        (
+            lambda d: d.instance.restore(damaged(d, "state", 6, 1.5)),
+            r"of RovDepthPlant: j = 1.5: expected -1.0..1.0",
+        ),
+        (
+            lambda d: d.instance.restore(damaged(d, "state", slice(0, 0), [0.0])),
+            r"\(.*, 22\) values and states",
+        ),
         (lambda d: d.instance.restore(damaged(d, "values", 3, -7.0)), r"inertia = -7.0: expected 0.1"),
     ],
 )

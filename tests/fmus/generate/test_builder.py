@@ -31,6 +31,12 @@ def test_the_shipped_blocks_are_found() -> None:
     assert registry.block_names() == sorted([*depth_controllers, *others.split(), *plants.split()])
 
 
+def test_every_state_of_a_shipped_block_is_declared() -> None:
+    states = [(name, v) for name in registry.block_names() for v in builder.load_block(name).state_variables]
+    assert len(states) > 200
+    assert not [(name, v.name) for name, v in states if not v.description]
+
+
 def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:
     block = builder.load_block("ExamplePlant")
     offer("Mine", block)  # type: ignore[operator]

@@ -434,3 +434,55 @@ def test_an_integration_with_a_limit_is_compared_by_the_slope_that_its_step_take
     check_trace(trace(block(_rate)))
     with pytest.raises(ExportError, match="as the function integrate has it in a short step"):
         check_trace(trace(block(lambda *arguments: Level(1.001 * _rate(*arguments).x))))
+
+
+@dataclass(frozen=True)
+class Ranged:
+    x: float = variable(0.5, "Level", unit="m", min=0.0, max=2.0)
+    rest: float = 0.5
+
+
+def ranged(rule: Callable[[float, float], Any], first: float = 0.5) -> Block:
+    """A block with a rule for the next x, of the input and x."""
+    return replace(
+        block_of(lambda u, x, p: x),
+        state=Ranged,
+        initial_state=lambda t, inputs, p, c: Ranged(first + 0.0 * t),
+        step=lambda t, h, state, inputs, p, c: Ranged(rule(inputs.u, state.x), state.rest + 1.0),
+        output=lambda t, state, p, c: Outputs(state.x),
+    )
+
+
+@pytest.mark.parametrize(
+    ("block", "message"),
+    [
+        (
+            ranged(lambda u, x: x + 0.0625),
+            r"step gives x = 2.\d+: expected 0.0..2.0 m at t = .*, h = .*x = ",
+        ),
+        (
+            ranged(lambda u, x: numerics.clip(u, -1.0, 1.0)),
+            r"step gives x = -.*: expected 0.0..2.0 m at t = .*u = ",
+        ),
+        (ranged(lambda u, x: x, 3.0), r"initial_state gives x = 3.0: expected 0.0..2.0 m at t = 0.0$"),
+        (
+            ranged(lambda u, x: 0.1 / (x + 0.1) + 0.0 / x),
+            r"step gives no finite number for a state in its range at .*x = 0.0",
+        ),
+    ],
+)
+def test_a_step_that_leaves_the_declared_range_of_a_state_is_refused(block: Block, message: str) -> None:
+    with pytest.raises(ExportError, match=message):
+        check_trace(trace(block))
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        ranged(lambda u, x: numerics.clip(x + u, 0.0, 2.0)),
+        # a state without a range may end a step
+        block_of(lambda u, x, p: 1.0 / x),
+    ],
+)
+def test_a_step_that_stays_in_the_declared_ranges_is_accepted(block: Block) -> None:
+    check_trace(trace(block))

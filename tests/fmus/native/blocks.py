@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.block import Block, variable
 from fmus.generate import builder
-from fmus.numerics import floor, where
+from fmus.numerics import sign, where
 from tests.shared_builds import slow_but
 
 from .exchanged import BALL, GROWTH, TANK
@@ -48,7 +48,8 @@ class Inputs:
 @dataclass(frozen=True)
 class State:
     x: float = 0.0
-    steps: float = 0.0
+    steps: int = variable(0, "Internal steps", min=-(2**31))
+    side: float = variable(1.0, "Sign of the state", min=-1.0, max=1.0)
 
 
 @dataclass(frozen=True)
@@ -66,11 +67,12 @@ def requirements(p: Parameters, c: Calculated) -> tuple:
 def step(t: float, h: float, s: State, u: Inputs, p: Parameters, c: Calculated) -> State:
     force = where(p.enabled, u.force * u.valve, 0.0) + u.level * where(p.mode == Mode.RUN, 1.0, 0.0)
     force += u.wind[0] - 2.0 * u.wind[1]
-    return State((1.0 - h * c.ratio) * s.x + h * (force + t), s.steps + 1.0)
+    x = (1.0 - h * c.ratio) * s.x + h * (force + t)
+    return State(x, s.steps + 1, sign(x))
 
 
 def output(t: float, s: State, p: Parameters, c: Calculated) -> Outputs:
-    return Outputs(c.product * s.x, s.x * s.x + t, floor(s.steps), s.x > 1.0)
+    return Outputs(c.product * s.x, s.x * s.x + t, s.steps, s.x > 1.0)
 
 
 EVERYTHING = Block.of_module(
@@ -78,7 +80,7 @@ EVERYTHING = Block.of_module(
     "Everything",
     "Everything that the C layer distinguishes",
     calculate=lambda p: Calculated(p.gain * p.limit, p.gain / p.limit),
-    initial_state=lambda t, u, p, c: State(p.start + u.force, p.count + 0.0 * t),
+    initial_state=lambda t, u, p, c: State(p.start + u.force, p.count),
 )
 
 

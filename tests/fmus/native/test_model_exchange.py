@@ -21,7 +21,7 @@ from fmus.block.scalars import flatten, unflatten
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.verify import drawn
+from fmus.generate.random_points import drawn
 from fmus.registry import BLOCKS, installed
 from tests.shared_builds import Fmus, one_of_a_kind, slow_but
 

@@ -1,6 +1,7 @@
 """A saved state of the native FMU is all of it; bytes that no instance of it can have are refused."""
 
 import math
+import re
 import struct
 from collections.abc import Callable
 
@@ -90,7 +91,8 @@ def is_taken(session: Session, content: bytes, position: int, word: bytes) -> bo
         else:
             assert answer.status == ERROR
             (message,) = answer.messages
-            assert message.text == "fmi2DeSerializeFMUstate: this FMU cannot have such a state"
+            text = message.text.removeprefix("fmi2DeSerializeFMUstate: ")
+            assert re.fullmatch(r"this FMU cannot have such a state|(x|steps|side) = \S+: expected .+", text)
     return answer.status == OK
 
 
@@ -142,6 +144,33 @@ def test_a_forged_number_that_is_not_finite_is_refused(
     for place in places:
         for number in (0.5, -1e300, 0.0, *NEVER_FINITE):
             assert is_taken(session, content, place, struct.pack("<d", number)) is math.isfinite(number)
+
+
+@pytest.mark.parametrize(
+    ("index", "number", "reason"),
+    [
+        (0, math.inf, "x = inf: expected a finite number"),
+        (1, 0.5, "steps = 0.5: expected -2147483648..inf"),
+        (1, -(2.0**31) - 1, "steps = -2147483649: expected -2147483648..inf"),
+        (1, 2.0**40, None),
+        (2, 1.0000000000000002, "side = 1.0000000000000002: expected -1.0..1.0"),
+        (2, -1.0, None),
+    ],
+)
+def test_a_restored_state_out_of_its_range_is_refused_by_name(
+    session: Session, index: int, number: float, reason: str | None
+) -> None:
+    """States follow the values and the rates of inputs; the bytes are a state in no instance yet."""
+    content = session.stepping().saved()
+    inputs = len(EVERYTHING.of_causality("input"))
+    place = FIRST_WORD + 8 * (5 + len(EVERYTHING.variables) + inputs + 1 + index)
+    forged = with_checksum(content[:place] + struct.pack("<d", number) + content[place + 8 : -8])
+    with session.kept():
+        if reason is None:
+            assert session("deserialize", forged, 0).status == OK
+            assert session("free_state", 0).status == OK
+        else:
+            assert session.refused("deserialize", forged, 0) == f"fmi2DeSerializeFMUstate: {reason}"
 
 
 def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(session: Session) -> None:

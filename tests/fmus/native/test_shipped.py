@@ -1,7 +1,9 @@
 """The library that an FMU will carry gives what Python gives, or the FMU is not written."""
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -98,6 +100,21 @@ def test_an_fmu_whose_library_differs_is_not_written(monkeypatch: pytest.MonkeyP
     with pytest.raises(ExportError, match=r"block 'Everything': .*step gives .* when it is compiled"):
         builder.build_block(EVERYTHING, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("j", "is_restored"), [(1.0, True), (-1.0, True), (1.5, False), (math.nan, False)])
+def test_a_state_in_memory_is_restored_in_its_range_alone(
+    built: Fmus, library_of: Callable[..., ShippedLibrary], j: float, is_restored: bool
+) -> None:
+    block = builder.load_block("ThrustAllocation")
+    guid, _ = native_members(trace(block))
+    library = library_of(block, guid, members(built[block.name]))
+    arguments = block.inputs(), block.parameters(), block.calculated()
+    if is_restored:
+        assert library.reached(0.0, 0.1, replace(block.state(), j=j), *arguments)
+    else:
+        with pytest.raises(ExportError, match="fmi2SetFMUstate returns error: expected ok"):
+            library.reached(0.0, 0.1, replace(block.state(), j=j), *arguments)
 
 
 def test_a_library_of_another_guid_is_refused(library_of: Callable[..., ShippedLibrary]) -> None:
