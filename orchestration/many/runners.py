@@ -259,7 +259,7 @@ class Isolated:
 def answer(parent: Parent) -> None:
     """Serves in the process: receives a job, loads its FMUs and makes its runs, until the next job.
 
-    The working folder is that of the process, so that files with relative names end with it.
+    Files with relative names end with the process: its folder is the working folder.
     """
     os.chdir(tempfile.gettempdir())
     job = parent.receive()

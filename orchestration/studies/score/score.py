@@ -50,8 +50,8 @@ def score_controllers(
 ) -> ScoreResult:
     """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
 
-    Each controller runs in processes of its own. One that fails, hangs or crashes
-    has its row with the reason.
+    Each controller runs in separate processes. One that fails, hangs or crashes has its
+    row with the reason.
 
     Parameters
     ----------

@@ -50,8 +50,8 @@ class LimitedRuns:
     """Makes the runs of one controller, until one took too long or its process has ended three times.
 
     The others are failures that say so: hundreds of them might each take as long.
-    Each run has a process and a folder of its own, so that neither a global nor a file passes notes to the
-    next run. Runs of FMUs that share no memory (`is_independent`) have one process together.
+    Each run has a separate process and folder: neither a global nor a file passes notes to the next run. Runs
+    of FMUs that share no memory (`is_independent`) have one process together.
     """
 
     def __init__(self, local: LocalRuns) -> None:
