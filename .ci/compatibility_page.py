@@ -42,7 +42,9 @@ _SYSTEMS = """\
 Everything runs on 64-bit Linux. CPython 3.11 for Windows ran under Debian's Wine 8 as below (November 2026,
 `tests/windows/test_windows.py`), not on Windows itself, whose C library is another. macOS: not run.
 
-In PowerShell, `;` stands for `&&`, and `.venv\\Scripts\\activate` for `source .venv/bin/activate`."""
+In PowerShell, `;` stands for `&&`, `.venv\\Scripts\\activate` for `source .venv/bin/activate`, `$null` for
+`/dev/null`, and `Select-String` for `grep -E`. The text between `<<'END'` and `END` goes into the file named
+before it."""
 _RUNS = "## What was run\n\nVersions of November 2026. `Drift` is a block of the test."
 
 Table = Mapping[str, Mapping[str, Any]]
@@ -55,7 +57,9 @@ def table() -> Table:
 
 def windows() -> list[dict[str, str]]:
     """What ran on a Python for Windows, what was seen, and the test."""
-    return tomllib.loads(WINDOWS.read_text(encoding="utf-8"))["runs"]
+    ran = tomllib.loads(WINDOWS.read_text(encoding="utf-8"))
+    passed = f"{sum(ran['rooms'].values()):,}"
+    return [run | {"seen": run["seen"].replace("PASSED", passed)} for run in ran["runs"]]
 
 
 def page() -> str:

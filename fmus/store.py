@@ -58,12 +58,14 @@ def read_with_time(file: str) -> tuple[bytes, float]:
 
 def folder(kind: str = "") -> Path:
     """Returns the folder of a kind in the user's cache; without a kind, the folder of all kinds."""
+    if cache := os.environ.get("XDG_CACHE_HOME"):
+        return Path(cache, "l1-depth", kind)
     if sys.platform == "win32":
         local = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
         return Path(local, "l1-depth", "Cache", kind)
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "l1-depth" / kind
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "l1-depth", kind)
+    return Path.home() / ".cache" / "l1-depth" / kind
 
 
 def get(kind: str, key: str) -> bytes | None:

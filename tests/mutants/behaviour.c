@@ -181,6 +181,7 @@ static int path_of(const char *uri, char *path) {
     } else if (IS("file:/ is not understood"))
         return 0;
     if (!p) return 0;
+    if (p[0] && p[1] && p[2] == ':') p++; /* the slash before the drive of Windows */
     for (; *p; p++) {
         unsigned code;
         if (*p == '%' && !IS("percent signs are not decoded") && sscanf(p + 1, "%2x", &code) == 1) {

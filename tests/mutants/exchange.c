@@ -114,6 +114,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 static void decode(const char *uri, char *path) {
     unsigned character;
     uri += !strncmp(uri, "file:///", 8) ? 7 : !strncmp(uri, "file://", 7) ? 7 : 5;
+    if (uri[1] && uri[2] == ':') uri++; /* the slash before the drive of Windows */
     for (; *uri; uri++)
         if (*uri == '%' && sscanf(uri + 1, "%2x", &character) == 1) {
             *path++ = (char)character;

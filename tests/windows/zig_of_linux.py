@@ -18,13 +18,16 @@ def of_linux(argument: str) -> str:
             found = next(same, found / name) if found.is_dir() else found / name
         return str(found)
 
-    return re.sub(r"\b[Cc]:[\\/](.*)", path, argument)
+    return re.sub(r"(?:\b|(?<=-I))[Cc]:[\\/](.*)", path, argument)
 
 
 if __name__ == "__main__":
     done, written = Path(of_linux(sys.argv[1])), b"96."
     try:
-        zig = [sys.executable, "-m", "ziglang", *map(of_linux, sys.argv[2:])]
+        command, *options = map(of_linux, sys.argv[2:])
+        # zig compiles for the machine where it runs
+        target = [] if command != "cc" or "-target" in options else ["-target", "x86_64-windows-gnu"]
+        zig = [sys.executable, "-m", "ziglang", command, *target, *options]
         ended = subprocess.run(zig, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
         written = b"%d." % ended.returncode + ended.stdout
     finally:

@@ -17,6 +17,7 @@ from fmus.fmi import fmi3
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
 from fmus.fmi.model_description import ModelDescription
+from fmus.platforms import SHARED_LIBRARY_SUFFIX, host_platform, platform_folder
 from tests.described_fmus import XML, members
 from tests.shared_builds import Build
 
@@ -204,8 +205,9 @@ def test_a_library_of_another_standard_or_platform_is_refused(linear: Build, tmp
     of_2, of_3 = members(linear()), members(linear(fmi=3))
     (library,) = (name for name in of_3 if name.startswith("binaries/"))
     (other,) = (content for name, content in of_2.items() if name.startswith("binaries/"))
-    lacks = "linear.so lacks fmi3InstantiateCoSimulation, .*fmi3DoStep.*: expected them in FMI 3.0"
-    no_binary = "has no binary for x86_64-linux: it has aarch64-linux"
+    missing = "fmi3InstantiateCoSimulation, .*fmi3DoStep.*"
+    lacks = f"linear{SHARED_LIBRARY_SUFFIX} lacks {missing}: expected them in FMI 3.0"
+    no_binary = f"has no binary for {platform_folder(host_platform(), 3)}: it has aarch64-linux"
     cases = {lacks: {library: other}, no_binary: {"binaries/aarch64-linux/linear.so": b""}}
     for message, libraries in cases.items():
         path = write_archive(tmp_path / f"{len(message)}.fmu", {XML: of_3[XML], **libraries})

@@ -47,11 +47,13 @@ def load(path: Path, name: str = "it") -> FmuInstance:
 
 @pytest.fixture
 def unloaded(monkeypatch: pytest.MonkeyPatch) -> list[Library]:
-    """Libraries in place of whose unloading they are noted here."""
+    """Libraries that were unloaded."""
     libraries: list[Library] = []
+    unload_library = Library.unload
 
     def unload(library: Library) -> None:
         libraries.append(library)
+        unload_library(library)
 
     monkeypatch.setattr(Library, "unload", unload)
     return libraries

@@ -13,6 +13,7 @@ from fmus import files
 from fmus.files import extract_archive, write_archive
 from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
+from fmus.platforms import SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM
 from orchestration.errors import FmuLoadError
 from orchestration.run import simulate
 from orchestration.system.system import System
@@ -72,10 +73,12 @@ def test_a_model_identifier_that_is_no_c_identifier_runs(
     linear: Build, tmp_path: Path, identifier: str
 ) -> None:
     fmu = identified(linear(), tmp_path / "odd.fmu", identifier)
-    expected = f"for linux64 called {identifier}, its modelIdentifier: it has binaries/linux64/linear.so"
+    library = f"binaries/{SYSTEM_PLATFORM}/linear{SHARED_LIBRARY_SUFFIX}"
+    expected = f"for {SYSTEM_PLATFORM} called {identifier}, its modelIdentifier: it has {library}"
     with pytest.raises(FmuLoadError, match=expected):
         simulate(System({"one": fmu}), inputs={"one.u[1]": 0.0}, stop_time=1.0)
-    named = {name.replace("linear.so", f"{identifier}.so"): data for name, data in members(fmu).items()}
+    other = library.replace("linear", identifier)
+    named = {name.replace(library, other): data for name, data in members(fmu).items()}
     write_archive(tmp_path / "named.fmu", named)
     run = {"inputs": {"one.u[1]": 0.0}, "stop_time": 1.0, "step_size": 0.1}
     expected = simulate(System({"one": linear()}), **run)

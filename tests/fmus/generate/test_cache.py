@@ -273,7 +273,7 @@ def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
     sources = sources_of(order)
     fmu.write_bytes(b"another")
     built = {fmu.name: b"another"}
-    stamps(order, time.time()).write(sources, built)  # changed as the process began
+    stamps(order, sources.changed).write(sources, built)  # changed as the process began
     assert current(order) is None
     (tmp_path / "gains.py").write_text("GAIN = 2.5\n")
     stamps(order).write(sources, built)  # changed while it was built

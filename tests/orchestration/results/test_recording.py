@@ -5,7 +5,6 @@ import io
 import json
 import math
 import re
-import resource
 import sys
 import tracemalloc
 from collections.abc import Iterator
@@ -150,6 +149,8 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
     """The kernel refuses larger files, as a full disk does. No compiled module is written, and cut off."""
+    import resource  # which Windows lacks
+
     before, writes = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     sys.dont_write_bytecode = True

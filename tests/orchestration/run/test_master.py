@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fmus.files import write_archive
+from fmus.platforms import SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM
 from orchestration.errors import FmuLoadError, SimulationError, SystemDefinitionError
 from orchestration.run import simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
@@ -101,20 +102,25 @@ def later_nan(t: float) -> float:
     return math.nan if t > 0.45 else 0.0
 
 
+# Windows does not name the file
+LIBRARY_ERROR = "WinError 193" if SYSTEM_PLATFORM == "win64" else f"ExamplePlant{SHARED_LIBRARY_SUFFIX}"
+OTHER_PLATFORM = next(name for name in ("win64", "linux64") if name != SYSTEM_PLATFORM)
+
+
 @pytest.mark.parametrize(
     ("platform", "data", "message"),
     [
-        ("win64", None, "has no binary for linux64: it has C sources, win64"),
-        ("linux64", b"text", "cannot be instantiated: .*ExamplePlant.so"),
+        (OTHER_PLATFORM, None, f"has no binary for {SYSTEM_PLATFORM}: it has C sources, {OTHER_PLATFORM}"),
+        (SYSTEM_PLATFORM, b"text", f"cannot be instantiated: .*{LIBRARY_ERROR}"),
     ],
 )
 def test_a_binary_that_cannot_be_loaded_says_why(
     built: Mapping[str, Path], temporary: Path, platform: str, data: bytes | None, message: str
 ) -> None:
     content = members(built["ExamplePlant"])
-    (library,) = [name for name in content if name.endswith(".so")]
+    (library,) = [name for name in content if name.endswith(SHARED_LIBRARY_SUFFIX)]
     binary = data or content.pop(library)
-    changed = content | {library.replace("linux64", platform): binary}
+    changed = content | {library.replace(SYSTEM_PLATFORM, platform): binary}
     path = write_archive(temporary / "alien.fmu", changed)
     with pytest.raises(FmuLoadError, match=f"alien.fmu .*{message}"):
         simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
@@ -126,8 +132,11 @@ def test_an_fmu_of_python_without_a_binary_names_the_flavour_that_has_one(
 ) -> None:
     """As on macOS, for which PythonFMU has none."""
     content = members(python_built["ExamplePlant"]).items()
-    path = write_archive(temporary / "alien.fmu", {n: data for n, data in content if "linux64" not in n})
-    with pytest.raises(FmuLoadError, match=r"it has win64; it runs Python: of a block, the native flavour"):
+    path = write_archive(
+        temporary / "alien.fmu", {n: data for n, data in content if SYSTEM_PLATFORM not in n}
+    )
+    expected = f"it has {OTHER_PLATFORM}; it runs Python: of a block, the native flavour"
+    with pytest.raises(FmuLoadError, match=expected):
         simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
 
 
