@@ -19,7 +19,7 @@ Every native FMU has co-simulation (CS) and model exchange (ME), of FMI 2.0 or, 
 of FMI 3.0. FMUs of [the python flavour](../how-to/importing/README.md#the-python-flavour) have co-simulation
 of FMI 2.0."""
 _WORDS = """\
-- *run*: by the test below, in this project's CI. *`--scalars`*: an FMU built with this option.
+- *run*: by the test below, in this project's CI. *`--scalars`*: built with this option.
 - *by hand*: once, as stated below; no test repeats it.
 - *no*: the importer has no such interface, or cannot load these FMUs. *not run*: nobody tried it.
 - *listed*: by [fmi-standard.org](https://fmi-standard.org/tools/) in June 2026, and not run.

@@ -132,6 +132,9 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         super().set_fmu_state(state)
         self.forget_failure()
 
+    def start_anew(self) -> None:
+        """Makes the saved state of the FMU the whole state, also of a solver, which then starts again."""
+
     def forget_failure(self) -> None:
         """Forgets a failure, after the state from before it was set."""
         self._failed = False

@@ -23,8 +23,8 @@ from fmus.fmi.instance import FmuInstance
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import FmiValue
 
-# Relative tolerance of the solver if the run states none. The solver starts again in each communication
-# step, so that errors add up.
+# Relative tolerance of the solver if the run states none. The solver starts again where inputs change, so
+# that errors add up.
 _TOLERANCE = 1e-9
 # In one step: more events have no end, as with a ball that comes to rest.
 _MOST_EVENTS = 10_000
@@ -117,6 +117,9 @@ class ModelExchangeInstance(FmuInstance):
         ctypes.c_int.from_address(value).value = int(self._terminates)
         return OK
 
+    def start_anew(self) -> None:
+        self._solver.end = None
+
     def _checked(self, function: str, *arguments: Any) -> None:
         """Calls a function; a failure ends the step."""
         status = self.status(function, *arguments)
@@ -140,13 +143,13 @@ class ModelExchangeInstance(FmuInstance):
 
     def _integrate(self, end: float, no_going_back: int) -> None:
         """Integrates up to the next event of a state or of a step, or to a time [s]."""
-        self._solver.reset(self._reached)
+        self._solver.begin(self._reached)
         is_event = False
         while self._reached < end and not is_event:
             # CVode refuses such an end as too close
             if end - self._reached < 8 * math.ulp(end):
                 self._checked("fmi2SetTime", end)
-                self._reached = end
+                self._reached, is_event = end, True
             else:
                 self._reached, is_event = self._solver.advance(end)
             enters, terminates = ctypes.c_int(), ctypes.c_int()
@@ -154,6 +157,8 @@ class ModelExchangeInstance(FmuInstance):
             self._checked("fmi2CompletedIntegratorStep", no_going_back, *flags)
             self._end_if(terminates.value)
             is_event = is_event or bool(enters.value)
+        if not is_event and self._reached < self._next_event:
+            self._solver.end = self._reached, self._solver.values()
 
     def _handle_event(self) -> None:
         """Calls fmi2NewDiscreteStates until no new discrete states are needed."""
@@ -182,6 +187,7 @@ class _Solver(CVodeSolver):
             return lambda values, count: call(function, values, count)
 
         self._failure: _StepEndsError | None = None
+        self.end: tuple[float, bytes] | None = None
         super().__init__(
             nx=description.numberOfContinuousStates,
             nz=description.numberOfEventIndicators,
@@ -213,6 +219,21 @@ class _Solver(CVodeSolver):
         except _StepEndsError as error:
             self._failure = error
             return 1 if error.status == DISCARD else -1
+
+    def begin(self, time: float) -> None:
+        """Starts again at a time [s], or goes on if `end` is there and has, bit for bit, the same values."""
+        end, self.end = self.end, None
+        if not end or end != (time, self.values()):
+            self.reset(time)
+
+    def values(self) -> bytes:
+        """Returns states, derivatives and event indicators."""
+        count = 0 if self.discrete else self.nx
+        vectors = [(ctypes.c_double * n)() for n in (count, count, self.nz)]
+        for get, vector in zip((self.get_x, self.get_dx, self.get_z), vectors, strict=True):
+            if vector:
+                get(vector, len(vector))
+        return b"".join(map(bytes, vectors))
 
     def advance(self, end: float) -> tuple[float, bool]:
         """Takes one step, not beyond `end` [s]; returns its time, and whether it ends at a state event."""

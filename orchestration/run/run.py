@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from fmus.fmi.binding import MODEL_EXCHANGE
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
 from orchestration.run.access import (
@@ -114,6 +115,10 @@ class Run:
         self._resources = ExitStack()  # freed when the run ends
         self._batch_start = None if wired.prepared.retry_obstacle else self._snapshot()
         self._loop, self._guard, self._pacing = wired.loop, guard, pacing
+        # A solver starts again in a restored state, as where a batch begins. This depends on the processor's
+        # speed, so that batches then have one step.
+        has_solver = any(one.interface == MODEL_EXCHANGE for one in wired.instances.values())
+        self._most_steps = 1 if pacing or has_solver else _MOST_STEPS
         self._threads = StepThreads(wired.wiring, wired.loop, threads)
         self._resources.callback(self._threads.close)
         self._step_control: StepControl | None = None
@@ -277,7 +282,7 @@ class Run:
         start, first = time.perf_counter(), self.point
         following = bisect_right(self._changes, first)
         next_change = self._changes[following : following + 1]
-        end = min(end, first + (1 if self._pacing else self.batch), *next_change)
+        end = min(end, first + min(self.batch, self._most_steps), *next_change)
         if self.prepared.experiment.tolerance and self.step_control:
             self._go_to(self.step_control.divide_step(self._check_interrupt))
             self.batch = 1
@@ -544,6 +549,8 @@ class Run:
         snapshot, point = self._unused.pop(), self._report[_POSITION]
         if not self._loop.save(snapshot.memory):
             raise failure_error(self.wired)
+        for instance in self.wired.instances.values():
+            instance.start_anew()
         control = self.step_control
         step_control = control.state if control else {}
         return SavedState(snapshot, point, step_control, self._record.keep(point), self._unused)

@@ -4,18 +4,21 @@ import itertools
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import fmpy
 import numpy as np
 import pytest
+from fmpy.sundials import CVodeSolver
+from scipy.linalg import expm
 
 from fmus.errors import FmuWarning
 from fmus.fmi.binding import DISCARD, ERROR, OK, WARNING
 from fmus.fmi.description import describe
-from fmus.fmi.model_exchange import ModelExchangeInstance
+from fmus.fmi.model_exchange import ModelExchangeInstance, _Solver
 from fmus.generate import builder
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import FmuLoadError, SimulationError
@@ -76,7 +79,7 @@ def largest_difference(first: Recording, second: Recording) -> float:
 def test_a_plant_converges_to_co_simulation_with_the_tolerance_of_the_solver(
     built: Fmus, vehicles: dict[int, Path]
 ) -> None:
-    """The error of a step is some tolerances, and CVode starts anew in each of 100 steps. The scheme of
+    """The error of a step is some tolerances, and each sample of the sensor starts CVode anew. The scheme of
     co-simulation has errors below 1e-8 here: from an internal step of 1 ms to 0.1 ms they change by less.
     """
     driven = {"plant.voltage[1]": 2.0}
@@ -159,8 +162,8 @@ def test_an_event_follows_what_is_set_at_a_communication_point(tmp_path: Path) -
 
 @pytest.mark.parametrize("flags", ["", "completed steps are not needed"])
 def test_time_state_and_step_events_are_those_of_fmpy(tmp_path: Path, flags: str) -> None:
-    """Both take CVode at 1e-9; FMPy does not start it anew in each step. It completes steps at
-    communication points alone, so that turns, a step event, comes up to one of them later.
+    """Both take CVode at 1e-9. FMPy completes steps at communication points alone, so that turns, a step
+    event, comes up to one of them later.
     """
     system = exchange(tmp_path, flags=flags)
     recording = simulate(system, record=RECORDED, open_inputs="start", **TIMES)
@@ -197,11 +200,127 @@ def test_inputs_and_parameters_act_from_the_point_at_which_they_change(tmp_path:
 
 
 def test_a_run_goes_on_from_saved_states(tmp_path: Path) -> None:
-    """The solver starts anew in each step, so that a saved state of the FMU is the whole state."""
+    """The solver starts anew where a state is saved, so that a saved state of the FMU is the whole state."""
     path = tmp_path / "saved"
     with Simulator(exchange(tmp_path)) as simulator:
         whole = simulator.run(EXPERIMENT, checkpoints=Checkpoints(path, 2.0))
         assert_same_bits(simulator.run(EXPERIMENT, resume=read_checkpoint(path)), whole)
+
+
+@pytest.fixture
+def plant(built: Fmus, tmp_path: Path) -> System:
+    """A linear plant with the state x, for model exchange alone."""
+    return System({"p": model_exchange_alone(built["ExamplePlant"], tmp_path)})
+
+
+GROWING: dict[str, Any] = {"parameters": {"p.initial_state[1]": 1.0}, "inputs": {"p.control": 1.0}}
+LINEAR = Experiment(10.0, 0.02, open_inputs="start", fmu_tolerance=1e-9, **GROWING)
+
+
+def restarts(monkeypatch: pytest.MonkeyPatch, run: Callable[[], object]) -> list[float]:
+    """Returns the times [s] at which the solver starts anew in a run."""
+    times, reset = list[float](), CVodeSolver.reset
+    with monkeypatch.context() as patch:
+        patch.setattr(CVodeSolver, "reset", lambda solver, time: (times.append(time), reset(solver, time)))
+        run()
+    return times
+
+
+def test_the_solver_goes_on_where_no_input_has_changed(
+    plant: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of x' = M x + b u by the matrix exponential; with a start in each step the error is far larger."""
+    # the state matrix of the block with its theta, and the constant input as a third state
+    augmented = np.array([[0.0, 1.0, 0.0], [-1.0 + 4.0, -1.4 - 4.5, 1.0], [0.0, 0.0, 0.0]])
+
+    def error() -> float:
+        recording = simulate(plant, LINEAR)
+        exact = np.array([(expm(augmented * time) @ [1.0, 0.0, 1.0])[:2] for time in recording["time"]])
+        states = np.column_stack([recording[f"p.state[{i}]"] for i in (1, 2)])
+        return float(np.abs(states - exact).max() / np.abs(exact).max())
+
+    going_on = error()
+    monkeypatch.setattr(_Solver, "begin", CVodeSolver.reset)
+    assert 15.0 * going_on < error()
+
+
+def test_the_solver_starts_anew_where_something_has_changed(
+    plant: System, vehicles: dict[int, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An input and a parameter that get other values, not the same ones; samples; a saved state."""
+    events = [
+        Event(2.0, {"p.control": 1.0}),
+        Event(3.0, {"p.control": 1.5}),
+        Event(4.0, {"p.theta[1]": 4.0}),
+        Event(5.0, {"p.theta[1]": 3.0}),
+    ]
+    changed = replace(LINEAR, events=events)
+    assert restarts(monkeypatch, lambda: simulate(plant, LINEAR)) == [0.0]
+    assert restarts(monkeypatch, lambda: simulate(plant, changed)) == [0.0, 3.0, 5.0]
+    sampled = System({"v": vehicles[2]}), Experiment(0.2, 0.01, open_inputs="start")
+    samples = restarts(monkeypatch, lambda: simulate(*sampled))
+    assert samples == pytest.approx([0.0, 0.04, 0.08, 0.12, 0.16])
+
+    def saved_at_1_s() -> None:
+        with Simulator(plant) as simulator:
+            run = simulator.start(LINEAR)
+            run.advance(1.0)
+            run.save()
+            run.advance(2.0)
+
+    assert restarts(monkeypatch, saved_at_1_s) == [0.0, pytest.approx(1.0)]
+
+
+def test_restored_states_and_steps_one_by_one_have_the_same_bits(plant: System) -> None:
+    with Simulator(plant) as simulator:
+        whole = simulator.run(LINEAR)
+        run = simulator.start(LINEAR)
+        while not run.is_done:
+            run.step()
+        assert_same_bits(run.recording(), whole)
+        run = simulator.start(LINEAR)
+        run.advance(3.0)
+        state = run.save()
+        run.advance()
+        first = run.recording()
+        run.restore(state)
+        run.advance()
+        assert_same_bits(run.recording(), first)
+
+
+def test_a_run_goes_back_in_time_at_rest(plant: System) -> None:
+    """Its states, derivatives and indicators are the same at all times."""
+    with Simulator(plant) as simulator:
+        run = simulator.start(replace(LINEAR, parameters={}, inputs={}))
+        state = run.save()
+        run.advance(1.0)
+        run.restore(state)
+        run.advance(1.0)
+        assert not run.recording()["p.state[1]"].any()
+
+
+def test_a_discarded_step_is_repeated_with_the_same_bits_however_fast_the_processor_is(
+    plant: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first runs of a simulator have shorter batches of steps than later ones."""
+    step, discarded = ModelExchangeInstance._do_step, list[float]()
+
+    def discarding(instance: ModelExchangeInstance, handle: int, start: float, size: float, flag: int) -> int:
+        if start < 9.0 or size < 0.015:
+            return step(instance, handle, start, size, flag)
+        discarded.append(start)
+        instance._checked("fmi2EnterContinuousTimeMode")
+        instance._solver.begin(start)
+        while instance._solver.advance(start + size)[0] < start + size:
+            pass
+        return DISCARD
+
+    monkeypatch.setattr(ModelExchangeInstance, "_do_step", discarding)
+    with Simulator(plant) as simulator:
+        first, *others = (simulator.run(LINEAR) for _ in range(3))
+    assert len(discarded) >= 3 * 50
+    for other in others:
+        assert_same_bits(other, first)
 
 
 def test_the_simulation_ends_where_the_fmu_terminates_it(tmp_path: Path) -> None:
@@ -310,6 +429,8 @@ def test_each_step_of_the_solver_is_completed_and_may_be_followed_by_an_event(
     completed = [i for i, call in enumerate(calls) if call == COMPLETED]
     assert len(completed) > 10
     assert {tuple(calls[i - 2 : i]) for i in completed} == {("SetTime", "SetContinuousStates")}
+    calls = [call for call in calls if not call.startswith("Get")]
+    completed = [i for i, call in enumerate(calls) if call == COMPLETED]
     events = [i for i, call in enumerate(calls) if call == "EnterEventMode"]
     assert events == [completed[0] + 1, completed[-1] + 1]
 
