@@ -3,23 +3,27 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from itertools import combinations, permutations
+from itertools import combinations
 from pathlib import Path
-from statistics import median
 from typing import Any
 
+import numpy as np
+from fronts import SPECIAL_CASES, STUDY
 from scipy import stats
 
+from orchestration.results.statistics import holm
 from orchestration.studies.score.protocol import read_protocol
 
 DATA = Path(__file__).parent.parent / "docs" / "explanation" / "fronts.json"
 SENSITIVITY = DATA.with_name("sensitivity.json")
 _SHOWN = ("error", "total_variation", "delay_margin", "change_at_half_the_step")
+_ERRORS = ("least_errors_at_half", "least_errors")
 _DIGITS = 4
+LEVEL = 0.05  # of significance, of all pairs together
 
 
 def reduced(documents: Sequence[Mapping[str, Any]]) -> str:
-    """Returns files of `.ci/fronts.py` as JSON, without the gains of each point, a line for each law."""
+    """Returns files of `.ci/fronts.py` as JSON, a line for each law."""
     parts = list[str]()
     for document in documents:
         laws = [json.dumps(_law(law), separators=(",", ":")) for law in document["laws"]]
@@ -29,10 +33,11 @@ def reduced(documents: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _law(law: Mapping[str, Any]) -> dict[str, Any]:
-    points = [{name: _rounded(point[name]) for name in _SHOWN} for point in law["points"]]
-    volumes = [_rounded(volume) for volume in law["hypervolumes"]]
+    points = [{**point, **{name: _rounded(point[name]) for name in _SHOWN}} for point in law["points"]]
+    errors = {key: [[*map(_rounded, of_seed)] for of_seed in law[key]] for key in _ERRORS}
     spread = None if law["spread"] is None else _rounded(law["spread"])
-    return {**law, "hypervolumes": volumes, "spread": spread, "points": points}
+    volumes = [*map(_rounded, law["hypervolumes"])]
+    return {**law, **errors, "hypervolumes": volumes, "spread": spread, "points": points}
 
 
 def _rounded(value: float) -> float:
@@ -45,11 +50,18 @@ def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
     return float(result.statistic)
 
 
-class Fronts:
-    """The fronts of all laws on each vehicle.
+def welch(first: Sequence[float], second: Sequence[float]) -> float:
+    """Returns the p-value of Welch's test that two means are equal; not a number where nothing varies."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result: Any = stats.ttest_ind(first, second, equal_var=False)
+    return float(result.pvalue) if np.ptp(first) + np.ptp(second) > 0.0 else math.nan
 
-    A law is better than another one on a vehicle if the least hypervolume of its seeds is above the largest
-    of the other's.
+
+class Fronts:
+    """The fronts of laws on each vehicle.
+
+    A law is better than another one on a vehicle if both fronts are converged and its mean hypervolume over
+    the seeds is larger by Welch's test, corrected for all pairs on all vehicles.
     """
 
     def __init__(self, documents: Sequence[Mapping[str, Any]], sensitivity: Mapping[str, Any]) -> None:
@@ -57,67 +69,63 @@ class Fronts:
         self.vehicles = [document["vehicle"] for document in documents]
         self.laws = {d["vehicle"]: {law["name"]: law for law in d["laws"]} for d in documents}
         self.titles = {name: law["title"] for laws in self.laws.values() for name, law in laws.items()}
-
-    @property
-    def pairs(self) -> int:
-        """How many pairs of laws there are."""
-        return math.comb(len(self.titles), 2)
+        self.p_values = holm(
+            {
+                (vehicle, *pair): welch(*(laws[name]["hypervolumes"] for name in pair))
+                for vehicle, laws in self.laws.items()
+                for pair in combinations([name for name in laws if laws[name]["is_converged"]], 2)
+            }
+        )
 
     def options(self, document: Mapping[str, Any]) -> str:
         """Returns the options of the command that has made a document."""
-        protocol, cost = read_protocol(), document["cost"]
-        ours = protocol.tables.cost
-        plant = "" if document["vehicle"] == protocol.vehicle.name else f" --plant {document['vehicle']}"
-        settings = "".join(f' --set "{name}={value}"' for name, value in document["settings"].items())
-        bounds = [(n, value) for n, value in cost["bounds"].items() if ours.bounds.get(n) != value]
-        cases = "" if cost["cases"] == ours.cases else f" --cases {','.join(cost['cases'])}"
-        return plant + settings + "".join(f" --bound {n}={value:g}" for n, value in bounds) + cases
+        effort, names = document["effort"], [law["name"] for law in document["laws"]]
+        laws = "" if names == [*read_protocol().controllers] else f" --laws {','.join(names)}"
+        evaluations = effort["evaluations_per_gain_bound_and_seed"]
+        own = f"--plant {document['vehicle']} --seeds {len(effort['seeds'])} --evaluations {evaluations}"
+        return own + laws
 
-    def volume(self, vehicle: str, law: str) -> float:
-        """Returns the median of the hypervolumes of the seeds."""
-        return median(self.laws[vehicle][law]["hypervolumes"])
+    def missing(self) -> str:
+        """Returns in words which fronts are not there."""
+        controllers = read_protocol().controllers
+        counts = {vehicle: len(controllers) - len(self.laws.get(vehicle, ())) for vehicle in STUDY}
+        return ", ".join(f"{count} laws on {vehicle}" for vehicle, count in counts.items() if count)
 
-    def rank(self, vehicle: str, law: str) -> int:
-        """Returns 1 for the law of the largest hypervolume."""
-        return 1 + sum(self.volume(vehicle, other) > self.volume(vehicle, law) for other in self.titles)
-
-    def by_rank(self) -> list[str]:
-        """Returns the laws by the sum of their ranks."""
-        return sorted(self.titles, key=lambda law: sum(self.rank(v, law) for v in self.vehicles))
-
-    def is_better(self, vehicle: str, first: str, second: str) -> bool:
-        one, other = (self.laws[vehicle][name]["hypervolumes"] for name in (first, second))
-        return min(one) > max(other)
-
-    def _verdicts(self, first: str, second: str) -> list[int]:
-        better = self.is_better
-        return [better(v, first, second) - better(v, second, first) for v in self.vehicles]
-
-    def everywhere(self) -> list[tuple[str, str]]:
-        """Returns the pairs of which the first law is better on every vehicle."""
-        return [pair for pair in permutations(self.titles, 2) if min(self._verdicts(*pair)) == 1]
-
-    def reversed(self) -> list[tuple[str, str]]:
-        """Returns the pairs of which one law is better on one vehicle and worse on another."""
-        return [pair for pair in combinations(self.titles, 2) if {1, -1} <= {*self._verdicts(*pair)}]
+    def behind(self) -> list[str]:
+        """Returns where a seed of a law has less than one of its special case, of which all seeds begin."""
+        return [
+            f"{law} on {vehicle} is behind {special}"
+            for vehicle, laws in self.laws.items()
+            for law, (special, _) in SPECIAL_CASES.items()
+            if law in laws
+            and special in laws
+            and min(laws[law]["hypervolumes"]) < max(laws[special]["hypervolumes"])
+        ]
 
     def verdict(self, first: str, second: str) -> str:
         """Returns in words on which vehicles the first law has the better front."""
-        words = {1: "better", -1: "worse", 0: "open"}
-        found = [words[verdict] for verdict in self._verdicts(first, second)]
-        if len({*found}) == 1:
-            return f"{found[0]} on all"
-        return ", ".join(f"{word} on {vehicle}" for word, vehicle in zip(found, self.vehicles, strict=True))
+        return ", ".join(f"{self._word(v, first, second)} on {v}" for v in self.vehicles)
 
-    def leaders(self, vehicle: str) -> list[str]:
-        """Returns the law of the largest hypervolume first, then those that are not worse."""
-        order = sorted(self.titles, key=lambda law: self.rank(vehicle, law))
-        return [law for law in order if not self.is_better(vehicle, order[0], law)]
+    def _word(self, vehicle: str, first: str, second: str) -> str:
+        laws = self.laws[vehicle]
+        if not all(name in laws for name in (first, second)):
+            return "not searched"
+        if not all(laws[name]["is_converged"] for name in (first, second)):
+            return "not converged"
+        p = self.p_values.get((vehicle, first, second), self.p_values.get((vehicle, second, first), math.nan))
+        if not p < LEVEL:
+            return "open"
+        one, other = (sum(laws[name]["hypervolumes"]) for name in (first, second))
+        return "better" if one > other else "worse"
 
-    def correlation(self) -> float:
-        """Returns the least rank correlation of the hypervolumes of two vehicles."""
-        columns = [[self.volume(vehicle, law) for law in self.titles] for vehicle in self.vehicles]
-        return min(rank_correlation(*pair) for pair in combinations(columns, 2))
+    def bounds(self, document: Mapping[str, Any]) -> list[float]:
+        """Returns the bounds on the total variation [N] of a document, the largest first."""
+        largest = document["cost"]["bounds"]["total_variation"]
+        return [largest * 0.5**level for level in range(document["effort"]["bounds"])]
+
+    def least_errors(self, vehicle: str, law: str) -> list[float]:
+        """Returns the least error [cm] of all seeds within each bound."""
+        return np.min(self.laws[vehicle][law]["least_errors"], axis=0).tolist()
 
     def changed_by_the_step(self, limit: float) -> tuple[int, int]:
         """Returns how many points half the step changes by more than a part of the cost, and of how many."""
@@ -146,4 +154,7 @@ class Fronts:
 def committed() -> Fronts:
     """Returns the fronts and indices that the page is of."""
     fronts, sensitivity = (json.loads(path.read_text(encoding="utf-8")) for path in (DATA, SENSITIVITY))
-    return Fronts(fronts, sensitivity)
+    found = Fronts(fronts, sensitivity)
+    if behind := found.behind():
+        raise ValueError(f"{DATA}: {'; '.join(behind)}: expected no law behind its own special case")
+    return found
