@@ -159,6 +159,8 @@ JONSWAP   S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),    x = w / w_
     limits=(
         "Linear theory in deep water: bottom, breaking and drift are left out. Waves above the steepness of"
         " breaking are refused; well below it the theory is better.",
+        "wave_acceleration lacks the convective term. Its mean on a vehicle that moves with the water is"
+        " sum a_i^2 w_i^2 k_i exp(-2 k_i z) / 2, downwards, where it should be 0.",
         "Waves have one direction and act at one place: the vehicle does not move horizontally, and is small"
         " beside a wave length.",
         "The spectrum ends at four times the peak frequency, above which JONSWAP has 0.4 % of its variance.",

@@ -93,7 +93,8 @@ def print_fit(fitted: "VehicleFit") -> None:
     print(is_one if count == "1" else f"{count} readings count as one: residuals are correlated so long")
     for name in analysis.rough:
         print(f"rough interval: {name}: the depth is not linear in it over the interval")
-    for message in analysis.undetermined:
-        print(f"not determined: {message}")
+    for kind, messages in (("not determined", analysis.undetermined), ("not to be trusted", analysis.doubts)):
+        for message in messages:
+            print(f"{kind}: {message}")
     if fitted.ended:
         print(f"l1-depth: warning: the search has not converged: {fitted.ended}", file=sys.stderr)

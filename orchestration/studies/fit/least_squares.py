@@ -4,7 +4,7 @@ Residuals are asked for at many points at once, so that the columns of a Jacobia
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -139,6 +139,10 @@ _NOT_DETERMINED = 1.0
 _ROUNDING = 1e-6
 # of the square of a direction: a parameter with less is no part of it
 _SHARE = 0.01
+# of the sum of autocovariances: beyond it the correction is no longer of first order
+_MOST_LOST = 0.8
+_FEWEST_INDEPENDENT = 30
+_SIGNIFICANT = 4.0  # standard deviations
 _AT_A_LIMIT = 1e-6  # of the coordinate
 # of the rise of the sum of squares that the linear model predicts at the ends of an interval
 _ROUGH = 0.25
@@ -163,6 +167,7 @@ class Analysis:
     """Estimates, the standard deviation and correlation time [readings] of the residuals, and messages.
 
     rough: names of the parameters whose intervals are wrong by more than a few per cent of their length
+    doubts: why neither values nor intervals are to be trusted
     """
 
     estimates: tuple[ParameterEstimate, ...]
@@ -170,15 +175,17 @@ class Analysis:
     correlation_time: float
     undetermined: tuple[str, ...]
     rough: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
-def correlation_time(series: Sequence[np.ndarray]) -> float:
+def correlation_time(series: Sequence[np.ndarray], fitted: int = 0) -> float:
     """Returns 1 + 2 sum of the autocorrelations of residuals, at least 1, in readings.
 
-    series: of each dive. The sum ends where two neighbours are negative in sum: Geyer, Practical Markov chain
-    Monte Carlo, Statist. Sci. 7(4), 1992.
+    series: of each dive; fitted: number of parameters, which take a part of the slow noise with them
+    The sum ends where two neighbours are negative in sum: Geyer, Practical Markov chain Monte Carlo,
+    Statist. Sci. 7(4), 1992.
     """
-    longest = max(map(len, series))
+    longest, count = max(map(len, series)), sum(map(len, series))
     covariance = np.zeros(longest + 1)
     for residuals in series:
         spectrum = np.abs(np.fft.rfft(residuals, 2 * longest)) ** 2
@@ -187,19 +194,26 @@ def correlation_time(series: Sequence[np.ndarray]) -> float:
         return 1.0
     pairs = (covariance[: 2 * (len(covariance) // 2)] / covariance[0]).reshape(-1, 2).sum(axis=1)
     positive = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
-    return max(1.0, 2.0 * float(pairs[:positive].sum()) - 1.0)
+    # each parameter lowers each autocovariance by about 1 / count of the sum that is sought
+    lost = min(_MOST_LOST, (4 * positive - 1) * fitted / count)
+    return max(1.0, (2.0 * float(pairs[:positive].sum()) - 1.0) / (1.0 - lost))
 
 
-def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.ndarray]]) -> Analysis:
+def analysed(
+    search: LeastSquares,
+    series: Callable[[np.ndarray], Sequence[np.ndarray]],
+    rates: np.ndarray | None = None,
+) -> Analysis:
     """Returns the estimates at the best point of a search, with intervals.
 
-    series: splits the residuals by dives
+    series: splits the residuals by dives; rates: of the simulated depth [m/s], shape (m,), to find a lag
     """
     # slow to import
     student = require("scipy.stats", "study", "a fit").t
 
     free, best, residuals, cost = search.free, search.best, search.residuals, search.cost
-    tau = correlation_time(series(residuals))
+    # one more than the free parameters: the sum ends early where its noise crosses zero
+    tau = correlation_time(series(residuals), len(free) + 1)
     noise = math.sqrt(float(residuals @ residuals) / (len(residuals) - len(free)))
     deviation = max(noise, np.finfo(float).eps) * math.sqrt(tau)
     limits = [_limit(one, x) for one, x in zip(free, best, strict=True)]
@@ -236,7 +250,29 @@ def analysed(search: LeastSquares, series: Callable[[np.ndarray], Sequence[np.nd
         step[inside] = factor * covariance[:, row] / math.sqrt(covariance[row, row])
         if _is_rough(search, best, step, factor * deviation):
             rough.append(free[inside[row]].name)
-    return Analysis(tuple(estimates), noise, tau, tuple(messages), tuple(rough))
+    doubts = [] if rates is None else [*_lags(jacobian, residuals, rates, series)]
+    if (independent := len(residuals) / tau) < _FEWEST_INDEPENDENT:
+        doubts.append(
+            f"readings are worth {independent:.3g} independent ones: expected {_FEWEST_INDEPENDENT} or more"
+        )
+    return Analysis(tuple(estimates), noise, tau, tuple(messages), tuple(rough), tuple(doubts))
+
+
+def _lags(
+    jacobian: np.ndarray,
+    residuals: np.ndarray,
+    rates: np.ndarray,
+    series: Callable[[np.ndarray], Sequence[np.ndarray]],
+) -> Iterator[str]:
+    """Yields a message about a lag of the readings that no fitted parameter explains (a score test)."""
+    left = rates - jacobian @ np.linalg.lstsq(jacobian, rates)[0]
+    lag = float(left @ residuals / max(left @ left, np.finfo(float).tiny))
+    noise = residuals - lag * left
+    tau = correlation_time(series(noise), jacobian.shape[1] + 2)
+    error = math.sqrt(float(noise @ noise) / len(noise) * tau / max(left @ left, np.finfo(float).tiny))
+    if abs(lag) > _SIGNIFICANT * error:
+        later = "later" if lag > 0.0 else "earlier"
+        yield f"readings come {abs(lag):.2g} s {later} than the model: it lacks a lag, or clocks differ"
 
 
 def _is_rough(search: LeastSquares, best: np.ndarray, step: np.ndarray, rise: float) -> bool:

@@ -272,7 +272,9 @@ def fit_vehicle(
         search.at([start, first])
         search.run(search.best, x_scale="jac")
         search.evaluations += 2 * len(runs.free)
-        analysis = analysed(search, runs.by_dive)
+        fits = zip(dives, runs.by_dive(search.residuals), strict=True)
+        rates = [np.gradient(dive.depths + part, dive.times) for dive, part in fits]
+        analysis = analysed(search, runs.by_dive, np.concatenate(rates))
         runs_at_best = runs.recorded([values_at(runs.free, search.best)])[0]
     parts = zip(dives, runs.by_dive(search.residuals), runs_at_best, strict=True)
     recordings = {part[0].name: _recording(runs.depth, *part) for part in parts}

@@ -107,12 +107,13 @@ def test_one_reading_is_spoken_of_as_one(
 ) -> None:
     fitted: Any = SimpleNamespace(
         vehicle=SimpleNamespace(name="rover"),
-        analysis=Analysis((), 0.0, correlated, (), ()),
+        analysis=Analysis((), 0.0, correlated, (), (), ("few readings",)),
         rmse={},
         ended="",
     )
     print_fit(fitted)
-    assert line in capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [*lines[:-2], line, "not to be trusted: few readings"]
 
 
 def test_a_mistake_is_one_line(refused: Command, log: Path) -> None:

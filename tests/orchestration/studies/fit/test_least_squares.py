@@ -124,6 +124,30 @@ def test_the_correlation_time_is_that_of_an_autoregressive_process(coefficient: 
     assert correlation_time(np.split(series, 4)) == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.parametrize(("repeated", "is_trusted"), [(1, True), (40, False)])
+def test_readings_worth_less_than_30_are_not_to_be_trusted(repeated: int, is_trusted: bool) -> None:
+    noise = np.repeat(0.1 * np.random.default_rng(1).standard_normal(len(TIMES) // repeated), repeated)
+    assert is_trusted == (not analysed(line(noise), lambda residuals: [residuals]).doubts)
+
+
+def test_fitted_parameters_take_slow_noise_with_them() -> None:
+    """Four fitted to 2000 readings shorten the correlation time, 39, unless they are counted.
+
+    The median of 50 series leaves a tenth.
+    """
+    random, given, corrected = np.random.default_rng(1), [], []
+    design = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, 2000), 4))[0]
+    for _ in range(50):
+        noise = random.standard_normal(2000)
+        for i in range(1, len(noise)):
+            noise[i] += 0.95 * noise[i - 1]
+        residuals = noise - design @ (design.T @ noise)
+        given.append(correlation_time([residuals]))
+        corrected.append(correlation_time([residuals], 5))
+    assert np.median(given) < 0.85 * 39.0
+    assert np.median(corrected) == pytest.approx(39.0, rel=0.1)
+
+
 def test_a_reading_that_is_repeated_counts_once() -> None:
     series = np.repeat(np.random.default_rng(1).standard_normal(50_000), 3)
     assert correlation_time([series]) == pytest.approx(3.0, rel=0.05)

@@ -1,5 +1,6 @@
 """Fits to synthetic dives: the intervals hold, and what the data do not determine is named."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -45,20 +46,26 @@ def test_the_intervals_of_100_dives_hold_with_noise_and_steps_of_the_sensor(
     assert all(90 <= count <= 99 for count in counts), dict(zip(NAMES, counts, strict=True))
 
 
+def correlated(random: np.random.Generator, count: int, coefficient: float) -> np.ndarray:
+    """An autoregressive process of 5 mm at points of 20 ms."""
+    shocks = random.standard_normal(count)
+    noise = np.empty_like(shocks)
+    noise[0] = shocks[0]
+    for i in range(1, count):
+        noise[i] = coefficient * noise[i - 1] + np.sqrt(1.0 - coefficient**2) * shocks[i]
+    return 0.005 * noise
+
+
 @pytest.mark.slow
-def test_the_intervals_of_100_dives_hold_with_correlated_noise(vehicle: Vehicle, recorded: Recorded) -> None:
-    """An autoregressive process of 5 mm and 0.2 s: those of white noise would be three times too narrow."""
+@pytest.mark.parametrize("coefficient", [0.9, 0.98])
+def test_the_intervals_of_100_dives_hold_with_correlated_noise(
+    vehicle: Vehicle, recorded: Recorded, coefficient: float
+) -> None:
+    """Noise correlated over 0.2 s or 1 s: intervals of white noise would be 3 or 7 times too narrow."""
     (run,) = recorded()
     random = np.random.default_rng(3)
-    dives = []
-    for _ in range(COUNT):
-        shocks = random.standard_normal(len(run.time))
-        noise = np.empty_like(shocks)
-        noise[0] = shocks[0]
-        for i in range(1, len(shocks)):  # at points of 20 ms, of which every second one is read
-            noise[i] = 0.9 * noise[i - 1] + np.sqrt(1.0 - 0.81) * shocks[i]
-        dives.append(as_dive(run, run["plant.depth"] + 0.005 * noise))
-    counts = holding(vehicle, dives)
+    noise = (correlated(random, len(run.time), coefficient) for _ in range(COUNT))
+    counts = holding(vehicle, [as_dive(run, run["plant.depth"] + one) for one in noise])
     assert all(90 <= count <= 99 for count in counts), dict(zip(NAMES, counts, strict=True))
 
 
@@ -168,3 +175,21 @@ def test_values_with_which_the_vehicle_cannot_run_are_named(vehicle: Vehicle, di
     free = free_parameters(["net_weight=-2:2"], impossible)
     with pytest.raises(OrchestrationError, match=r"dive: no depth with .*net_weight.*--free NAME=LOW:HIGH"):
         fit_vehicle(impossible, [dive()], [replace(free[0], start=0.6)])
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.9, 0.98])
+def test_a_lag_that_the_model_lacks_is_found_in_the_residuals(
+    vehicle: Vehicle, recorded: Recorded, coefficient: float
+) -> None:
+    """The inertia is 8 kg in place of 6.2 kg then, with an interval as narrow as without a lag."""
+    (run,) = recorded()
+    noise = correlated(np.random.default_rng(5), len(run.time), coefficient)
+    late = np.interp(run.time - 0.3, run.time, run["plant.depth"])
+    without, with_lag = (
+        fit_vehicle(vehicle, [as_dive(run, depths + noise)], free_parameters(FREE, vehicle)).analysis.doubts
+        for depths in (run["plant.depth"], late)
+    )
+    assert not any("later" in doubt for doubt in without)
+    assert (found := re.match(r"readings come ([\d.]+) s later than the model", with_lag[0]))
+    # noise that lasts 1 s leaves 6 %
+    assert float(found[1]) == pytest.approx(0.3, rel=0.06)
