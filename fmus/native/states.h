@@ -14,7 +14,7 @@ static OUTLINED const Snapshot *own_snapshot(Instance *instance, void *FMUState,
     return NULL;
 }
 
-/* Whether every state is in its range; the message names the first that is not. */
+/* 2.1.8. Whether every state is in its range; the message names the first that is not. */
 static OUTLINED int are_in_range(Instance *instance, const double *state, const char *function) {
     for (int i = 0; i < N_STATES; i++) {
         const Variable *v = VARIABLES + N_VARIABLES + i;
