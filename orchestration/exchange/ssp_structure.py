@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 from zipfile import is_zipfile
 
 from fmus.errors import nearest
-from fmus.units import of_differences, si_unit
+from fmus.units import of_differences
 from orchestration.errors import SystemDefinitionError
 from orchestration.exchange.ssp_package import OpenedPackage
 from orchestration.exchange.ssp_values import BoundValue, Values, is_suppressed, linear_transformation
@@ -157,9 +157,6 @@ class Structure:
         if is_suppressed(edge.element):
             return given
         (unit, of_source), (expected, own) = self._unit(edge.source, ports), self._unit(target, ports)
-        # a unit that nobody defines is text for readers
-        if not all(name in known or si_unit(name) for name, known in ((unit, of_source), (expected, own))):
-            return given
         try:
             change = conversion(unit, expected, own, of_source) if unit and expected else conversion("", "")
         except SystemDefinitionError as error:

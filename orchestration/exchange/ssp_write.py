@@ -5,9 +5,10 @@
     parameters/NAME.ssv     the values of each, named "component.variable"
     resources/*.fmu         with the values of the packaged scenario as start values, where they can be built
 
-Only what OMSimulator, libcosim, Ecos, fmucontainer and FMPy all understand: no connector of the system
-itself, no two structures of one name, values inline at each component, enumeration items as integers. Ecos
-and FMPy apply no values without the name of a set, fmucontainer none at all: therefore FMUs start with them.
+Only what OMSimulator, libcosim, Ecos, fmucontainer and FMPy all understand, but for systems in systems,
+which components "system.component" need: no connector of the outermost system, no two structures of one
+name, values inline at each component, enumeration items as integers. Ecos and FMPy apply no values without
+the name of a set, fmucontainer none at all: therefore FMUs start with them.
 What SSP 1.0 has for FMI 2.0 is in 2.0 as well, with the same namespaces: the versions differ in their number.
 """
 
@@ -177,36 +178,69 @@ def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
     root = ssp_xml.root("ssd:SystemStructureDescription", **variant.heading)
     root.set("generationTool", "l1-depth")
     system = add(root, "ssd:System", name="system", description=variant.title)
-    elements = add(system, "ssd:Elements")
-    for name, source in resources.items():
-        _component(elements, name, source, variant)
-    connections = add(system, "ssd:Connections")
-    for source, target in variant.prepared.system.connections:
-        ends = {"startElement": source.component, "startConnector": source.variable.name}
-        ends |= {"endElement": target.component, "endConnector": target.variable.name}
-        connection = add(connections, "ssd:Connection", **ends)
-        transformation = variant.prepared.system.transformations.get(target.name)
-        if transformation:
-            # the factor acts on unconverted values: an importer must not convert units as well
-            connection.set("suppressUnitConversion", "true")
-            values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
-            add(connection, "ssc:LinearTransformation", **values)
+    _fill(system, "", variant, resources)
     _master(system, variant.prepared.experiment)
     _units(root, "ssd:Units", variant.prepared.system, variant.connectors)
     _default_experiment(root, variant.prepared.experiment)
     return xml_document(root)
 
 
+def _fill(system: Element, path: str, variant: _Variant, resources: Mapping[str, str]) -> None:
+    """Adds the elements and connections of a system; path: its name with a dot, "" for the outermost."""
+    elements = add(system, "ssd:Elements")
+    own = [name.removeprefix(path).partition(".")[0] for name in resources if name.startswith(path)]
+    for name in dict.fromkeys(own):
+        if path + name in resources:
+            _component(elements, path + name, resources[path + name], variant)
+            continue
+        inner, within = add(elements, "ssd:System", name=name), f"{path}{name}."
+        pairs = variant.prepared.system.connections
+        crossing = [p for p in pairs if len({end.component.startswith(within) for end in p}) == 2]
+        ports = {port.name: port for p in crossing for port in p if port.component.startswith(within)}
+        if ports:
+            _connectors(inner, {port.name.removeprefix(within): port for port in ports.values()})
+        _fill(inner, within, variant, resources)
+    connections, given = add(system, "ssd:Connections"), list[dict[str, str]]()
+    for source, target in variant.prepared.system.connections:
+        ends = dict[str, str]()
+        for side, port, other in (("start", source, target), ("end", target, source)):
+            if port.component.startswith(path):
+                element = port.component.removeprefix(path).partition(".")[0]
+                connector = port.name.removeprefix(f"{path}{element}.")
+                ends |= {f"{side}Element": element, f"{side}Connector": connector}
+            else:
+                ends[f"{side}Connector"] = other.name.removeprefix(path)
+        named = [path + ends[side] for side in ("startElement", "endElement") if side in ends]
+        is_deeper = len(named) == 2 and named[0] == named[1] not in resources
+        if not named or is_deeper or ends in given:
+            continue
+        given.append(ends)
+        connection = add(connections, "ssd:Connection", **ends)
+        transformation = variant.prepared.system.transformations.get(target.name)
+        if transformation and len(named) == 2:
+            # the factor acts on unconverted values: an importer must not convert units as well
+            connection.set("suppressUnitConversion", "true")
+            values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
+            add(connection, "ssc:LinearTransformation", **values)
+    if not given:
+        system.remove(connections)  # the schema has no empty one
+
+
+def _connectors(parent: Element, ports: Mapping[str, Port]) -> None:
+    connectors = add(parent, "ssd:Connectors")
+    for name, variable in ((name, port.variable) for name, port in ports.items()):
+        connector = add(connectors, "ssd:Connector", name=name, kind=variable.causality or "")
+        unit = {"unit": variable.unit} if variable.type == "Real" and variable.unit else {}
+        add(connector, f"ssc:{variable.type}", **unit)
+
+
 def _component(parent: Element, name: str, source: str, variant: _Variant) -> None:
     exchange = variant.prepared.system.descriptions[name].is_model_exchange
     kind = {"type": "application/x-fmu-sharedlibrary"}
     kind |= {"implementation": "ModelExchange" if exchange else "CoSimulation"}
-    component = add(parent, "ssd:Component", name=name, source=source, **kind)
-    connectors = add(component, "ssd:Connectors")
-    for variable in (port.variable for port in variant.connectors if port.component == name):
-        connector = add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality or "")
-        unit = {"unit": variable.unit} if variable.type == "Real" and variable.unit else {}
-        add(connector, f"ssc:{variable.type}", **unit)
+    component = add(parent, "ssd:Component", name=name.rpartition(".")[2], source=source, **kind)
+    own_ports = [port for port in variant.connectors if port.component == name]
+    _connectors(component, {port.variable.name: port for port in own_ports})
     own = variant.values_of(name).items()
     if own:
         binding = add(add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")

@@ -200,6 +200,25 @@ def test_units_of_connectors_are_converted_before_a_transformation(
     assert (names, change) == (["a.y", "d.b.u"], expected)
 
 
+def test_a_unit_that_is_not_defined_is_refused_but_where_its_conversion_is_suppressed(tmp_path: Path) -> None:
+    for attributes, message in (
+        ("", "connection a.y -> d.in: unit 'm': expected furlongs or a unit"),
+        ('suppressUnitConversion="true"', ""),
+    ):
+        inner = system(
+            "d",
+            component("b"),
+            connection("in", "b.u", 'suppressUnitConversion="1"'),
+            connectors(**{"in": "input furlongs"}),
+        )
+        root = system("root", component("a") + inner, connection("a.y", "d.in", attributes))
+        if message:
+            assert message in refusal(package(tmp_path, root))
+            continue
+        with ssp_read.opened(package(tmp_path, root)) as loop:
+            assert loop.system.connections == (("a.y", "d.b.u"),)
+
+
 def test_a_signal_dictionary_renames(tmp_path: Path) -> None:
     reference = '<ssd:SignalDictionaryReference name="{}" dictionary="bus">{}</ssd:SignalDictionaryReference>'
     one, other = reference.format("bus", connectors(s="inout")), reference.format("b2", connectors(s="inout"))

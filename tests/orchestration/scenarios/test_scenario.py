@@ -7,13 +7,14 @@ from typing import Any
 import pytest
 
 from orchestration.cli.chosen_scenario import load
-from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
+from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.layers import stated_values
 from orchestration.scenarios.toml_file import read_toml
 from orchestration.system import prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
 from orchestration.system.faults import Delay, Fault
+from tests.described_fmus import described
 
 MINIMAL = """
 [components]
@@ -330,6 +331,14 @@ def test_a_value_with_a_unit_of_a_parameter_file_names_its_place_once(
     message = str(caught.value)
     assert message.startswith(f"{tmp_path / 'gains.toml'}:2: controller.proportional_gain = ")
     assert message.count(".toml") == 1
+
+
+def test_a_component_of_a_file_has_no_dot_in_its_name(tmp_path: Path) -> None:
+    """Those of packages have: "system.component"."""
+    described(tmp_path / "f.fmu", ["u"], ["y"])
+    text = 'components = {"x.y" = "f.fmu"}\nexperiment = {stop_time = 1, step_size = 0.1}\n'
+    with pytest.raises(SystemDefinitionError, match=r"component 'x\.y': expected a name without a dot"):
+        scenario.load(write(tmp_path, text))
 
 
 @pytest.mark.parametrize(
