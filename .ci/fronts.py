@@ -381,7 +381,7 @@ def front_figure(
 
 
 def tutorial_mpc(protocol: Protocol, folder: Path) -> dict[str, Any]:
-    """Returns a row without a front: the model predictive control of the tutorial, too slow for a search."""
+    """Returns a row without a front: the model predictive control of the tutorial, not searched."""
     (program,) = re.findall("```python\n(# mpc.py\n.*?)```", _TUTORIAL.read_text(encoding="utf-8"), re.S)
     path = folder / "mpc.py"
     path.write_text(program, encoding="utf-8")
