@@ -17,6 +17,7 @@ from vehicle import (
     BY_NAME,
     CHANGE,
     FREE,
+    FREQUENCY,
     LARGEST_OVERSHOOT_PCT,
     SCENARIOS,
     SEEDS,
@@ -41,6 +42,23 @@ SHIPPED_START = {"plant.linear_damping": 2.5, "plant.quadratic_damping": 7.0} | 
     name: entry["value"] for name, entry in _IDENTIFIED.items()
 }
 WIDE = tuple(free for free in FREE if free.name not in ("plant.net_weight", CHANGE))
+# the vehicle as shipped; a fast adaptation; bounds from a quarter of the buoyancy to the thrusters' force
+SMALL_BOUNDS = (
+    *(replace(BY_NAME[name], high=35.0) if "rate" in name else BY_NAME[name] for name in _IDENTIFIED),
+    replace(BY_NAME[FREQUENCY], low=2.0),
+    *(replace(BY_NAME[f"controller.{bound}"], high=6.0) for bound in ("sigma_bound", "theta_bound[1]")),
+)
+# found by a reader
+SMALL_BOUNDS_START = {
+    "controller.depth_feedback_gain": 2.9589,
+    "controller.rate_feedback_gain": 31.3885,
+    "controller.filter_bandwidth": 0.2401,
+    "controller.proportional_gain": 6.1757,
+    "controller.integral_gain": 0.0009,
+    FREQUENCY: 3.6,
+    "controller.sigma_bound": 1.1638,
+    "controller.theta_bound[1]": 0.3443,
+}
 _RATE_FEEDBACK = "controller.rate_feedback_gain"
 # With a rate feedback that the observer is too slow for: 8 to 11 rad/s, against its 8 rad/s.
 FAST_RATE_FEEDBACK = tuple(

@@ -11,6 +11,7 @@ parts:
 2  fits to all eight figures, and to seven, which predict the eighth
 3  a fit to one seed of the noise that looks at nothing but the figures
 4  effects that the run with added buoyancy would need if the gains were those that are shipped
+5  mechanisms that explain the row with added buoyancy, weighed
 
 The points, which take nearly all of the time, stay in points-N.npz and are read there when it runs again.
 """
@@ -22,7 +23,19 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from fits import EFFECTS, SHIPPED_RANGES, SHIPPED_START, WIDE, fits, needed, one_seed, tolerance
+from fits import (
+    EFFECTS,
+    SHIPPED_RANGES,
+    SHIPPED_START,
+    SMALL_BOUNDS,
+    SMALL_BOUNDS_START,
+    WIDE,
+    fits,
+    needed,
+    one_seed,
+    tolerance,
+)
+from mechanisms import MECHANISMS, WINDOWS, weigh
 from posterior import VARIANTS, Effort, posterior
 from summary import nearest, summary
 from tables import tables, write_points
@@ -34,20 +47,26 @@ def study(folder: Path, effort: Effort | None = None) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     sets = {variant.name: points_of(i, folder, effort or Effort()) for i, variant in enumerate(VARIANTS)}
     first = sets[VARIANTS[0].name]
-    with Vehicle() as vehicle, Vehicle(noise=False) as exact:
+    with (
+        Vehicle() as vehicle,
+        Vehicle(noise=False) as exact,
+        Vehicle(noise=False, windows=WINDOWS) as windowed,
+    ):
         document = {
             "variants": {name: summary(points) for name, points in sets.items()},
             "fits": {
                 "shipped ranges": fits(vehicle, exact, SHIPPED_RANGES, SHIPPED_START),
                 "wide ranges": fits(vehicle, exact, WIDE, nearest(first, tolerance)),
+                "small bounds": fits(vehicle, exact, SMALL_BOUNDS, SMALL_BOUNDS_START),
             },
             "one_seed": one_seed(vehicle),
             "effects": [needed(vehicle, effect) for effect in EFFECTS],
+            "mechanisms": {name: weigh(windowed, free) for name, free in MECHANISMS.items()},
         }
     (folder / "identification.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     text = "\n".join(f"{name}\n\n{table}" for name, table in tables(document).items())
     (folder / "tables.md").write_text(text, encoding="utf-8")
-    parameters = parameter_file(document["fits"]["wide ranges"]["all"]["values"])
+    parameters = parameter_file(document["fits"]["small bounds"]["all"]["values"])
     (folder / "all-figures.toml").write_text(parameters, encoding="utf-8")
     write_points(
         {variant.name: sets[variant.name] for variant in VARIANTS[:2]}, folder / "identification.png"

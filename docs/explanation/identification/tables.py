@@ -28,6 +28,8 @@ def tables(document: Mapping[str, Any]) -> dict[str, str]:
         "left out": _left_out(fits),
         "one seed": _one_seed(document["one_seed"]),
         "effects": _effects(document["effects"]),
+        "mechanisms": _mechanisms(document["mechanisms"]),
+        "measurements": _measurements(document["mechanisms"]),
     }
 
 
@@ -111,6 +113,29 @@ def _effects(effects: Sequence[Mapping[str, Any]]) -> str:
         size = f"{effect['size']:.3g} {effect['unit']}" + ("" if effect["reached"] else ", not enough")
         rows.append([effect["effect"], size, *(f"{effect[' '.join(figure)]:.4g}" for figure in figures)])
     return _table(["in the run with +0.2 N", "needed", *map(_label, figures)], rows)
+
+
+def _mechanisms(mechanisms: Mapping[str, Any]) -> str:
+    rows = []
+    for name, one in mechanisms.items():
+        largest = max(abs(one["figures"][m][s] / value - 1.0) for (s, m), value in VALUES.items())
+        cells = f"{100.0 * largest:.1f} %", f"{min(one['costs']):.1f}", f"{one['log_share']:.1f}"
+        rows.append([name, *cells, f"{one['log_evidence']:.1f}"])
+    head = ["mechanism", "largest deviation", "half the sum of squares", "log of the share"]
+    return _table([*head, "log of the evidence"], rows)
+
+
+def _measurements(mechanisms: Mapping[str, Any]) -> str:
+    rows = []
+    for name, one in mechanisms.items():
+        figures, half = one["figures"], one["with half of the added buoyancy"]["rmse"]
+        rmse, hold, early = (figures[metric] for metric in ("rmse", "hold at 0.4 m", "first 10 s"))
+        change, of_half = (r["buoyancy-l1"] - r["nominal-l1"] for r in (rmse, half))
+        holds = (f"{hold[f'buoyancy-{law}']:.0f}" for law in ("l1", "extended"))
+        first = early["buoyancy-extended"] - early["nominal-extended"]
+        rows.append([name, *holds, f"{first:.0f}", f"{100.0 * of_half / change:.0f} %"])
+    columns = ["hold at 0.4 m, L1 [mm]", "the same, extended [mm]", "first 10 s, extended [mm]"]
+    return _table(["+0.2 N", *columns, "share of the change of RMSE at +0.1 N, L1"], rows)
 
 
 # across and up; limits beyond which a run does not settle, or hardly

@@ -107,9 +107,15 @@ class Vehicle:
     """The shipped FMUs in the task of a scenario, many runs at once; a context manager.
 
     noise: whether the sensor has noise and resolution; runs: how many there were
+    windows: of time [s], name -> begin, end: the figures have the mean error of depth in it [mm]
     """
 
-    def __init__(self, task: str = "nominal-extended", noise: bool = True) -> None:
+    def __init__(
+        self,
+        task: str = "nominal-extended",
+        noise: bool = True,
+        windows: Mapping[str, tuple[float, float]] | None = None,
+    ) -> None:
         loaded = load_scenario(task)
         exact = {} if noise else {"plant.sensor_noise": 0.0, "plant.sensor_resolution": 0.0}
         self._experiment = replace(
@@ -119,6 +125,7 @@ class Vehicle:
         )
         self._metrics = {name: loaded.metrics[name] for name in ("settling_time", "rmse", "overshoot")}
         self._ensemble = Ensemble(loaded.system)
+        self._windows = dict(windows or {})
         self.runs = 0
 
     def __enter__(self) -> "Vehicle":
@@ -157,6 +164,10 @@ class Vehicle:
             figures[name][result.complete] = column
         held = (result.time >= HOLD[0]) & (result.time <= HOLD[1])
         figures["hold_spread"] = 1e3 * np.std(result["plant.depth"][:, held], axis=1)
+        for name, (begin, end) in self._windows.items():
+            within = (result.time >= begin) & (result.time <= end)
+            error = result["plant.depth"][:, within] - result["controller.depth_reference"][..., within]
+            figures[name] = 1e3 * np.mean(error, axis=-1)
         return figures
 
     def _with(self, values: Mapping[str, Any]) -> Experiment:

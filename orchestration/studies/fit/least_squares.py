@@ -141,8 +141,7 @@ _ROUNDING = 1e-6
 _SHARE = 0.01
 # of the sum of autocovariances: beyond it the correction is no longer of first order
 _MOST_LOST = 0.8
-_FEWEST_INDEPENDENT = 30
-_SIGNIFICANT = 4.0  # standard deviations
+_FEWEST_INDEPENDENT, _SIGNIFICANT = 30, 4.0  # readings; standard deviations
 _AT_A_LIMIT = 1e-6  # of the coordinate
 # of the rise of the sum of squares that the linear model predicts at the ends of an interval
 _ROUGH = 0.25
