@@ -2,7 +2,7 @@
 
 import math
 import random
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,19 +15,24 @@ from fmus.generate.trace import Traced
 _RUNS, _STEPS, _WIDER = 20, 300, 100.0
 # of an input without a range, of a state, and of the time [s]
 LARGEST_INPUT, LARGEST_STATE, LARGEST_TIME = 1e3, 1e6, 1e6
-REACHED = "Frama_C_show_each_end"
+REACHED, STAYS = "Frama_C_show_each_end", "stays_"
 _MAIN = """
 #include "__fc_builtin.h"
 int main(void) {{
     static {name} it = {name}_START;
+    // no member of a struct, whose bounds are those of the struct
+    enum {{ constants = sizeof it.constants / sizeof *it.constants - 1 }};
+    double k[constants ? constants : 1];
+    {name}_state next;
     double t = Frama_C_double_interval(0, {time!r});
     it.internal = {h!r};
     it.count = 1;
-{calculated}{inputs}    block_step_constants(it.internal, &it.parameters, &it.calculated, it.constants);
+{fixed}{inputs}    block_step_constants(it.internal, &it.parameters, &it.calculated, k);
     block_initial_state(0, &it.inputs, &it.parameters, &it.calculated, &it.state);
-    {name}_output(&it, 0);
-{state}    {name}_step(&it, t);
-    {name}_output(&it, t + {h!r});
+{stays}    {name}_output(&it, 0);
+{state}    block_step(t, it.internal, &it.state, &it.inputs, &it.parameters, &it.calculated, k, &next);
+    it.state = next;
+{stays}    {name}_output(&it, t + {h!r});
     {end}(it.outputs);
     return 0;
 }}
@@ -36,7 +41,7 @@ int main(void) {{
 
 @dataclass(frozen=True)
 class Interval:
-    """A range that the proof assumes of an input or of a state; reason: its origin."""
+    """A range that the proof assumes of an input, a state or a parameter; reason: its origin."""
 
     name: str
     low: float
@@ -72,10 +77,18 @@ def boxes(traced: Traced) -> tuple[list[Interval], list[Interval]]:
     return inputs, [_state(name, low, high) for name, low, high in reached]
 
 
+def free_parameters(traced: Traced) -> list[Interval]:
+    """Returns the ranges of the parameters, but of the step size, which the proof takes as it is."""
+    parameters = traced.block.of_causality("parameter")
+    return [_input(v) for v in parameters if v.name != "internal_step"]
+
+
 def _input(v: BlockVariable) -> Interval:
     is_declared = v.minimum is not None and v.maximum is not None
-    low = -LARGEST_INPUT if v.minimum is None else float(v.minimum)
-    high = LARGEST_INPUT if v.maximum is None else float(v.maximum)
+    items = [*(v.enumeration or ())] or [0, 1 if v.type == "Boolean" else LARGEST_INPUT]
+    minimum, maximum = (v.minimum, v.maximum) if v.type in ("Real", "Integer") else (min(items), max(items))
+    low = -LARGEST_INPUT if minimum is None else float(minimum)
+    high = max(LARGEST_INPUT, 10 * v.start) if maximum is None else float(maximum)
     return Interval(v.name, low, high, "declared" if is_declared else "chosen")
 
 
@@ -115,25 +128,37 @@ def _inputs(traced: Traced, numbers: random.Random, largest: float) -> Iterator[
         yield numbers.uniform(low, high) if is_real and low <= high else float(v.start)
 
 
-def harness(traced: Traced, inputs: list[Interval], states: list[Interval]) -> str:
-    """Returns one C file: header, equations and a main program."""
+def harness(
+    traced: Traced, inputs: list[Interval], states: list[Interval], parameters: Sequence[Interval] = ()
+) -> str:
+    """Returns one C file: header, equations and a main program; other parameters have their start values."""
     block, name, sources = traced.block, traced.block.name, firmware_sources(traced)
     described = FirmwareC(traced).members
-    members = dict(zip((v.name for v in block.of_causality("input")), described["u"], strict=True))
-    calculated = traced.calculate(flatten(block.parameters())).full().ravel().tolist()
+    members = {
+        v.name: f"{kind}.{member}"
+        for kind, causality, column in (("inputs", "input", "u"), ("parameters", "parameter", "p"))
+        for v, member in zip(block.of_causality(causality), described[column], strict=True)
+    }
     main = _MAIN.format(
         name=name,
         h=_internal_step(traced),
-        calculated="".join(
-            f"    it.calculated.{member} = {value!r};\n"
-            for member, value in zip(described["c"], calculated, strict=True)
-        ),
+        fixed=_parameters(traced, [(members[box.name], box) for box in parameters]),
+        stays="".join(_stays(box) for box in states),
         time=LARGEST_TIME,
-        inputs="".join(_any(f"inputs.{members[box.name]}", box) for box in inputs),
+        inputs="".join(_any(members[box.name], box) for box in inputs),
         state="".join(_any(f"state.{box.name}", box) for box in states),
         end=REACHED,
     )
     return sources[f"{name}.c"].replace(f'#include "{name}.h"', sources[f"{name}.h"]) + main
+
+
+def _parameters(traced: Traced, free: Sequence[tuple[str, Interval]]) -> str:
+    """Returns C of the free parameters, and of what is calculated: numbers, unless a parameter is free."""
+    if free:
+        return "".join(_any(*one) for one in free) + "    block_calculate(&it.parameters, &it.calculated);\n"
+    calculated = traced.calculate(flatten(traced.block.parameters())).full().ravel().tolist()
+    members = zip(FirmwareC(traced).members["c"], calculated, strict=True)
+    return "".join(f"    it.calculated.{member} = {value!r};\n" for member, value in members)
 
 
 def _internal_step(traced: Traced) -> float:
@@ -144,6 +169,25 @@ def _internal_step(traced: Traced) -> float:
 
 def _any(member: str, box: Interval) -> str:
     return f"    it.{member} = Frama_C_double_interval({box.low!r}, {box.high!r});\n"
+
+
+def _stays(box: Interval) -> str:
+    """Returns an annotation that Eva proves if the state is in its range; hexadecimal, as decimals round."""
+    low, high = box.low.hex(), box.high.hex()
+    return f"    //@ check {STAYS}{box.name}: {low} <= it.state.{box.name} <= {high};\n"
+
+
+def lasting(traced: Traced, staying: Collection[str]) -> list[str]:
+    """Returns the states that stay in their ranges for all time: those that they follow from stay, too.
+
+    staying: the states that a step from the ranges leaves in theirs
+    """
+    names = [*FirmwareC(traced).members["x"]]
+    rows, columns = traced.step.jac_sparsity(0, traced.step.index_in("x")).get_triplet()
+    stay = {i for i, name in enumerate(names) if name in staying}
+    while wrong := {i for i, j in zip(rows, columns, strict=True) if i in stay and j not in stay}:
+        stay -= wrong
+    return [names[i] for i in sorted(stay)]
 
 
 def traced_function(traced: Traced, name: str) -> Any:
