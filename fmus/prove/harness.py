@@ -20,7 +20,7 @@ _MAIN = """
 #include "__fc_builtin.h"
 int main(void) {{
     static {name} it = {name}_START;
-    // no member of a struct, whose bounds are those of the struct
+    // Eva does not check the bounds of an array in a struct
     enum {{ constants = sizeof it.constants / sizeof *it.constants - 1 }};
     double k[constants ? constants : 1];
     {name}_state next;
