@@ -51,7 +51,7 @@ class Variable:
         # FMPy decodes Strings of FMI 3.0 but not of FMI 2.0
         return value.decode() if isinstance(value, bytes) else value
 
-    def set(self, value: float | str) -> None:
+    def set(self, value: Any) -> None:
         """Sets the value, of an Enumeration also by the name of an item."""
         values = self._get(self._references, *self._size) if self._is_array else [None]
         if (given := self._items.get(value, value)) != self._convert(given):
@@ -177,7 +177,7 @@ def simulate(
     step_size: float,
     start_time: float = 0.0,
     algorithm: Literal["jacobi", "gauss-seidel"] = "jacobi",
-    start_values: Mapping[str, float | str] = {},
+    start_values: Mapping[str, Any] = {},
     signals: Mapping[str, Callable[[float], float]] = {},
     record: Sequence[str],
 ) -> Recording:

