@@ -61,9 +61,12 @@ class Variable:
 
 
 class Component:
-    """An instance of an FMU for co-simulation, of FMI 2.0 or 3.0, which `resources` frees."""
+    """An instance of an FMU for co-simulation, of FMI 2.0 or 3.0, which `resources` frees.
 
-    def __init__(self, name: str, path: str | Path, resources: ExitStack) -> None:
+    times: startTime and stopTime of the experiment [s]
+    """
+
+    def __init__(self, name: str, path: str | Path, times: Mapping[str, float], resources: ExitStack) -> None:
         self.name, description = name, read_model_description(str(path))
         if not description.coSimulation:
             raise SystemDefinitionError(f"{path}: expected co-simulation, got model exchange alone")
@@ -76,20 +79,15 @@ class Component:
         )
         self.fmu.instantiate(loggingOn=True)
         resources.callback(self.fmu.freeInstance)
+        # FMI 3.0 takes the times as it enters the initialization mode
+        self.times = times if self.is_fmi_3 else {}
+        if not self.is_fmi_3:
+            self.fmu.setupExperiment(**times)
         self.variables: dict[str, Variable] = {}
         for declared in description.modelVariables:
             for element, index in enumerate(np.ndindex(*declared.shape or ())):
                 suffix = f"[{','.join(str(i + 1) for i in index)}]" if index else ""
                 self.variables[declared.name + suffix] = Variable(self, declared, element)
-
-    def set_up_experiment(self, times: Mapping[str, float]) -> None:
-        """Sets up an experiment of FMI 2.0; times: startTime and stopTime [s]."""
-        if not self.is_fmi_3:
-            self.fmu.setupExperiment(**times)
-
-    def enter_initialization_mode(self, times: Mapping[str, float]) -> None:
-        """Begins the initialisation of an experiment."""
-        self.fmu.enterInitializationMode(**(times if self.is_fmi_3 else {}))
 
     def step(self, start: float, end: float) -> None:
         """Steps from `start` to `end` [s]."""
@@ -218,15 +216,13 @@ def simulate(
         raise SystemDefinitionError(f"algorithm {algorithm!r}: expected 'jacobi' or 'gauss-seidel'")
     points = time_grid(start_time, stop_time, step_size)
     tables = {name: values_at(signal, points).tolist() for name, signal in signals.items()}
-    rows = np.empty((len(points), len(record)))
+    rows, times = np.empty((len(points), len(record))), {"startTime": start_time, "stopTime": stop_time}
     with ExitStack() as resources:
-        components = [Component(name, path, resources) for name, path in fmus.items()]
+        components = [Component(name, path, times, resources) for name, path in fmus.items()]
         master = Master(components, connections, [*signals], record)
-        times = {"startTime": start_time, "stopTime": stop_time}
-        master.for_each(lambda component: component.set_up_experiment(times))
         for name, value in start_values.items():
             master[name].set(value)
-        master.for_each(lambda component: component.enter_initialization_mode(times))
+        master.for_each(lambda component: component.fmu.enterInitializationMode(**component.times))
         master.initialise({name: table[0] for name, table in tables.items()})
         master.for_each(lambda component: component.fmu.exitInitializationMode())
         master.for_each(master.read_outputs)
