@@ -26,8 +26,8 @@ from .archives import FALSE_CLAIMS, GLOBALS, STEP, Members, patched, write
 
 
 def test_a_discarded_step_whose_termination_has_no_status_of_fmi_is_a_finding(tmp_path: Path) -> None:
-    value = "*value = fmi2False; /* the model never ends the simulation */\n    return fmi2OK;"
-    patch = {STEP: f"{STEP} return fmi2Discard;", value: "*value = fmi2True;\n    return (fmi2Status)-5;"}
+    value = "s == fmi2Terminated, fmi2False"
+    patch = {STEP: f"{STEP} return fmi2Discard;", value: f"{value[:-9]}fmi2True; return (fmi2Status)-5"}
     (result,) = examine(patched(patch, tmp_path), names=["steps-and-terminates"])
     assert "terminate the simulation" not in result.not_judged
 

@@ -17,8 +17,8 @@ from tests.mutants.slaves import write_slave
 
 from .archives import Members, broken_rules, write
 
-TIME = b'name="time" valueReference="23"'
-TWICE = TIME.replace(b"23", b"15")  # that of the disturbance
+TIME = b'name="time" valueReference="14"'
+TWICE = TIME.replace(b"14", b"9")  # that of the disturbance
 
 
 @pytest.fixture(scope="module")
