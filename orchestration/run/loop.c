@@ -268,9 +268,9 @@ static double wall_time(void) {
 #endif
 }
 
-/* CPU time of this thread [s]; on Windows, where its clock ticks too seldom for a step, of the clock above. */
+/* CPU time of this thread [s]; of the clock above where that of a thread lacks, or ticks too seldom for a step. */
 static double cpu_time(void) {
-#ifdef _WIN32
+#if defined(_WIN32) || defined(__wasi__)
     return wall_time();
 #else
     struct timespec time = {0, 0};
