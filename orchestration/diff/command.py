@@ -1,6 +1,7 @@
 """The command diff: the effects on an importer when one FMU replaces another."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Literal
 
 import typer
@@ -40,21 +41,23 @@ def diff(
     to use, else patch. Exit status: 0; 1 for differences; 2 for wrong use.
     """
     from fmus.errors import FmuLoadError
+    from orchestration.diff.behaviour import speed
 
     try:
         changes = _changes(old, new, timeout, name, component)
     except FmuLoadError as error:
         shared.fail(str(error), 2)
-    level = verdict(changes)
+    level, told = verdict(changes), speed(old, new, timeout)
     if format_name == "json":
         import json
 
         found = [change._asdict() for change in changes]
-        print(json.dumps({"old": str(old), "new": str(new), "verdict": level, "changes": found}, indent=2))
+        result = {"old": str(old), "new": str(new), "verdict": level, "changes": found, "speed": told}
+        print(json.dumps(result, indent=2))
     else:
         for change in changes:
             print(_line(change, new) if format_name == "github" else "  ".join(change))
-        print(f"{old} -> {new}: {level or 'equal'}")
+        print(f"speed  {told}\n{old} -> {new}: {level or 'equal'}")
     if level and level.reaches(fail_on):
         raise typer.Exit(1)
 
@@ -62,12 +65,23 @@ def diff(
 def _changes(old: Path, new: Path, timeout: float, name: str, component: str) -> list[Change]:
     """Returns all differences, the highest level first."""
     from orchestration.diff.behaviour import behaviour_changes
-    from orchestration.diff.interface import file_changes, interface_changes
+    from orchestration.diff.interface import file_changes, interface_changes, of_interfaces
 
     if old.read_bytes() == new.read_bytes():
         return []
-    found = interface_changes(old, new) + behaviour_changes(old, new, timeout, name, component)
-    return sorted(found + file_changes(old, new), key=lambda change: list(Level).index(change.level))
+    with TemporaryDirectory() as folder:
+        before, after = (of_interfaces(fmu, Path(folder, str(i))) for i, fmu in enumerate((old, new)))
+        gone = [Change(Level.MAJOR, "interface", f"{kind} is gone") for kind in before if kind not in after]
+        more = [Change(Level.MINOR, "interface", f"{kind} is new") for kind in after if kind not in before]
+        changes = gone + more
+        shared = {kind: (before[kind], after[kind]) for kind in before if kind in after}
+        for kind, pair in (shared or {"": (old, new)}).items():
+            found = interface_changes(*pair) + behaviour_changes(*pair, timeout, name, component)
+            second = f"{kind}: " if kind != next(iter(shared), kind) else ""
+            # variables are the same in both interfaces
+            changes += [c._replace(text=second + c.text) for c in found if c not in changes]
+    changes += file_changes(old, new)
+    return sorted(changes, key=lambda change: list(Level).index(change.level))
 
 
 def _line(change: Change, new: Path) -> str:
