@@ -47,12 +47,11 @@ def behaviour_changes(
 
 def speed(old: Path, new: Path, timeout: float) -> str:
     """Returns the CPU times of a step of both, which take turns in one run, in words; arguments as above."""
-    (one, experiment), (other, _) = _alone(old, new)
-    fmus = {_FMU: one.components[_FMU], "new": other.components[_FMU]}
+    _, experiment = next(_alone(old, new))
     signals = {name.replace(_FMU, "new", 1): signal for name, signal in experiment.signals.items()}
-    experiment = replace(experiment, signals={**experiment.signals, **signals})
+    both = replace(experiment, signals={**experiment.signals, **signals})
     try:
-        run = simulate(System(fmus), experiment, timeout=timeout, statistics=True)
+        run = simulate(System({_FMU: old, "new": new}), both, timeout=timeout, statistics=True)
     except OrchestrationError as error:
         return f"not compared: {error}"
     a, b = (1e6 * fmu["cpu_s"] / fmu["steps"] for fmu in run.provenance["statistics"]["fmus"].values())

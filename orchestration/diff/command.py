@@ -35,10 +35,10 @@ def diff(
     ] = Level.PATCH,
     timeout: Annotated[float, typer.Option(min=0.1, help="Longest time of a call of an FMU [s].")] = 30.0,
 ) -> None:
-    """Compare two FMUs of any origin: interface, results at the same inputs, libraries and sources.
+    """Compare two FMUs of any origin: interfaces, results at the same inputs, speed, libraries, sources.
 
     The verdict is major if a model with the old FMU breaks, minor if it gives other results or there is more
-    to use, else patch. Exit status: 0; 1 for differences; 2 for wrong use.
+    to use, else patch; speed has none. Exit status: 0; 1 for differences; 2 for wrong use.
     """
     from fmus.errors import FmuLoadError
     from orchestration.diff.behaviour import speed
@@ -58,7 +58,7 @@ def diff(
         for change in changes:
             print(_line(change, new) if format_name == "github" else "  ".join(change))
         print(f"speed  {told}\n{old} -> {new}: {level or 'equal'}")
-    if level and level.reaches(fail_on):
+    if level and level <= fail_on:
         raise typer.Exit(1)
 
 
@@ -71,17 +71,15 @@ def _changes(old: Path, new: Path, timeout: float, name: str, component: str) ->
         return []
     with TemporaryDirectory() as folder:
         before, after = (of_interfaces(fmu, Path(folder, str(i))) for i, fmu in enumerate((old, new)))
-        gone = [Change(Level.MAJOR, "interface", f"{kind} is gone") for kind in before if kind not in after]
-        more = [Change(Level.MINOR, "interface", f"{kind} is new") for kind in after if kind not in before]
-        changes = gone + more
+        changes = [Change(Level.MAJOR, "interface", f"{x} is gone") for x in before if x not in after]
+        changes += [Change(Level.MINOR, "interface", f"{x} is new") for x in after if x not in before]
         shared = {kind: (before[kind], after[kind]) for kind in before if kind in after}
         for kind, pair in (shared or {"": (old, new)}).items():
             found = interface_changes(*pair) + behaviour_changes(*pair, timeout, name, component)
             second = f"{kind}: " if kind != next(iter(shared), kind) else ""
             # variables are the same in both interfaces
             changes += [c._replace(text=second + c.text) for c in found if c not in changes]
-    changes += file_changes(old, new)
-    return sorted(changes, key=lambda change: list(Level).index(change.level))
+    return sorted(changes + file_changes(old, new), key=lambda change: change.level)
 
 
 def _line(change: Change, new: Path) -> str:
