@@ -106,10 +106,8 @@ def _is_shared(variable: ScalarVariable, others: dict[str, ScalarVariable]) -> b
 
 
 def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:
-    """Returns two sines inside the declared range, about the start value if that leaves room, by a number.
-
-    Not values of the check's random traces: to find those that an FMU takes, the check makes trial runs.
-    """
+    """Returns two sines inside the declared range, about the start value if that leaves room, by a number."""
+    # not values of the check's random traces: to find those that an FMU takes, it makes trial runs
     low, high = float(variable.min or "-inf"), float(variable.max or "inf")
     size = min(float(variable.nominal or 1.0), (high - low) / 4.0)
     middle = float(np.clip(float(start_value(variable)), low + 1.5 * size, high - 1.5 * size))

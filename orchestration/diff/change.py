@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Level(StrEnum):
-    """Levels, with the names of semantic versions, which sort; the verdict is the highest, the least name.
+    """Levels, with the names of semantic versions, which sort from the highest on; it is the verdict.
 
     major: a model that uses the FMU does not run any more, or lacks a capability
     minor: it runs with other results, or there is more to use
@@ -23,8 +23,3 @@ class Change(NamedTuple):
     level: Level
     part: str
     text: str
-
-
-def verdict(changes: list[Change]) -> Level | None:
-    """Returns the highest level; None of equal FMUs."""
-    return min((change.level for change in changes), default=None)

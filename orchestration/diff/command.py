@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from orchestration.cli import shared
-from orchestration.diff.change import Change, Level, verdict
+from orchestration.diff.change import Change, Level
 
 PANEL = "FMUs"
 _NOTES = {Level.MAJOR: "error", Level.MINOR: "warning", Level.PATCH: "notice"}
@@ -47,7 +47,7 @@ def diff(
         changes = _changes(old, new, timeout, name, component)
     except FmuLoadError as error:
         shared.fail(str(error), 2)
-    level, told = verdict(changes), speed(old, new, timeout)
+    level, told = changes[0].level if changes else None, speed(old, new, timeout)
     if format_name == "json":
         import json
 

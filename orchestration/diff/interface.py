@@ -45,8 +45,7 @@ def of_interfaces(fmu: Path, folder: Path) -> dict[str, Path]:
         if root.find("ModelExchange") is None:
             return {"CoSimulation": fmu}
         members = {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
-    for interface in root.findall("CoSimulation"):
-        root.remove(interface)
+    root.remove(*root.findall("CoSimulation"))
     copy = write_archive(folder / fmu.name, members | {_DESCRIPTION: ElementTree.tostring(root)})
     return {"CoSimulation": fmu, "ModelExchange": copy}
 
