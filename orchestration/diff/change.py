@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Level(StrEnum):
-    """Levels, with the names of semantic versions, which sort from the highest on; it is the verdict.
+    """Levels with the names of semantic versions, which sort the highest first: that one is the verdict.
 
     major: a model that uses the FMU does not run any more, or lacks a capability
     minor: it runs with other results, or there is more to use
