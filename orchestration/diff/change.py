@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class Level(StrEnum):
-    """Levels, with the names of semantic versions; the verdict is the highest one.
+    """Levels with the names of semantic versions, which sort the highest first: that one is the verdict.
 
     major: a model that uses the FMU does not run any more, or lacks a capability
     minor: it runs with other results, or there is more to use
@@ -16,11 +16,6 @@ class Level(StrEnum):
     MINOR = "minor"
     PATCH = "patch"
 
-    def reaches(self, other: "Level") -> bool:
-        """Whether it is as high as the other one."""
-        order = list(Level)
-        return order.index(self) <= order.index(other)
-
 
 class Change(NamedTuple):
     """A difference; part: "interface", "behaviour" or "files"."""
@@ -28,8 +23,3 @@ class Change(NamedTuple):
     level: Level
     part: str
     text: str
-
-
-def verdict(changes: list[Change]) -> Level | None:
-    """Returns the highest level; None of equal FMUs."""
-    return min((change.level for change in changes), key=list(Level).index, default=None)

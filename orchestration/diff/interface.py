@@ -3,8 +3,10 @@
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 from fmus.errors import listed
+from fmus.files import write_archive
 from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.diff.change import Change, Level
@@ -28,6 +30,25 @@ _LIMITING = (
 )
 # identifiers differ in every build, and no importer's model holds them
 _IDENTIFIERS = ("modelIdentifier",)
+# that the description of FMI 3.0 does not hold
+_OF_FMI2 = ("canInterpolateInputs", "canRunAsynchronuously", _LIMITING[-1], "providesDirectionalDerivative")
+_DESCRIPTION = "modelDescription.xml"
+
+
+def of_interfaces(fmu: Path, folder: Path) -> dict[str, Path]:
+    """Returns each interface of an FMU with the FMU that has it: of model exchange beside co-simulation,
+    a copy in the folder without co-simulation, which the master would run. FmuLoadError as `describe`.
+    """
+    if describe(fmu).is_model_exchange:
+        return {"ModelExchange": fmu}
+    with zipfile.ZipFile(fmu) as archive:
+        root = ElementTree.fromstring(archive.read(_DESCRIPTION))
+        if root.find("ModelExchange") is None:
+            return {"CoSimulation": fmu}
+        members = {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
+    root.remove(*root.findall("CoSimulation"))
+    copy = write_archive(folder / fmu.name, members | {_DESCRIPTION: ElementTree.tostring(root)})
+    return {"CoSimulation": fmu, "ModelExchange": copy}
 
 
 def interface_changes(old: Path, new: Path) -> list[Change]:
@@ -45,7 +66,7 @@ def _of_variables(one: ModelDescription, other: ModelDescription) -> Iterator[tu
             yield level, f"{variable.causality} {name} is gone"
         else:
             yield from _of_variable(variable, after[name])
-    for name in after.keys() - before.keys():
+    for name in (name for name in after if name not in before):
         level = Level.MINOR if after[name].causality in _CONNECTED else Level.PATCH
         yield level, f"{after[name].causality} {name} is new"
 
@@ -79,21 +100,19 @@ def _of_dependencies(one: ModelDescription, other: ModelDescription) -> Iterator
         }
         for d in (one, other)
     )
-    for name in before.keys() & after.keys():
+    for name in (name for name in before if name in after):
         if before[name] != after[name]:
-            a, b = ("any" if x is None else ", ".join(x) or "none" for x in (before[name], after[name]))
+            a, b = ("any" if x is None else listed(x, 3) or "none" for x in (before[name], after[name]))
             yield Level.MINOR, f"{name}: dependencies {a} -> {b}"
 
 
 def _of_capabilities(one: ModelDescription, other: ModelDescription) -> Iterator[tuple[Level, str]]:
     if one.fmiVersion != other.fmiVersion:
         yield Level.MAJOR, f"FMI {one.fmiVersion} -> {other.fmiVersion}"
-    if one.is_model_exchange != other.is_model_exchange:
-        kinds = ("model exchange" if d.is_model_exchange else "co-simulation" for d in (one, other))
-        yield Level.MAJOR, " -> ".join(kinds)
+    passed_over = _IDENTIFIERS if one.fmiVersion[0] == other.fmiVersion[0] else (*_IDENTIFIERS, *_OF_FMI2)
     for name, a in vars(one.coSimulation).items():
         b = getattr(other.coSimulation, name)
-        if a != b and name not in _IDENTIFIERS:
+        if a != b and name not in passed_over:
             is_lost = b if name in _LIMITING else a
             yield Level.MAJOR if is_lost else Level.MINOR, f"{name} {str(a).lower()} -> {str(b).lower()}"
     for name in ("numberOfContinuousStates", "numberOfEventIndicators"):
@@ -129,6 +148,4 @@ def _checksums(path: Path) -> dict[str, tuple[int, int]]:
     """Returns the name of each file but the model description -> its checksum and size."""
     with zipfile.ZipFile(path) as archive:
         files = [file for file in archive.infolist() if not file.is_dir()]
-    return {
-        file.filename: (file.CRC, file.file_size) for file in files if file.filename != "modelDescription.xml"
-    }
+    return {file.filename: (file.CRC, file.file_size) for file in files if file.filename != _DESCRIPTION}

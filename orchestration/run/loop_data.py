@@ -177,7 +177,7 @@ class Storage:
     """Arrays for `Wiring`, of which another process can read `rows` and `report` during the run.
 
     rows: shape (communication points, recorded variables); report: shape (len(Report),)
-    step_times: shape (2, components), the number of steps of each and their wall time [s]; 0 if not asked for
+    step_times: shape (3, components), the steps of each, their wall and CPU time [s]; 0 if not asked for
     """
 
     rows: Array

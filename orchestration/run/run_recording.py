@@ -155,13 +155,13 @@ class RunStatistics:
     """Statistics of one run: the wall time [s] of each phase, and the steps of each FMU.
 
     is_asked_for: whether there is a report; without one the loop counts and measures no steps
-    steps: shape (2, FMUs), how many steps each made and their wall time [s], to which the loop adds; else 0
+    steps: shape (3, FMUs), the steps of each, their wall and CPU time [s], to which the loop adds; else 0
     start_time: simulated time [s] from which the run stepped
     """
 
     def __init__(self, components: Iterable[str], is_asked_for: bool = True) -> None:
         self._components, self._is_asked_for = tuple(components), is_asked_for
-        self.steps: Any = np.zeros((2, len(self._components))) if is_asked_for else 0
+        self.steps: Any = np.zeros((3, len(self._components))) if is_asked_for else 0
         self.start_time = 0.0
         self._phases: dict[str, float] = {}
 
@@ -188,15 +188,15 @@ class RunStatistics:
         if "stepping" not in self._phases:
             return {"statistics": {"phases_s": self._phases}}
         stepping, simulated = self._phases["stepping"], end_time - self.start_time
-        counts, times = self.steps.tolist()
+        counts, times, used = self.steps.tolist()
         rest = {"rest_of_loop_s": stepping - sum(times)} if is_sequential else {}
         statistics = {
             "phases_s": self._phases,
             "simulated_s": simulated,
             "real_time_factor": simulated / stepping,
             "fmus": {
-                name: {"steps": int(count), "wall_s": wall}
-                for name, count, wall in zip(self._components, counts, times, strict=True)
+                name: {"steps": int(count), "wall_s": wall, "cpu_s": cpu}
+                for name, count, wall, cpu in zip(self._components, counts, times, used, strict=True)
             },
             **rest,
         }

@@ -254,10 +254,10 @@ def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
     times = wiring.step_times if isinstance(wiring.step_times, np.ndarray) else None
-    before = 0.0 if times is None else time.perf_counter()
+    before, used = (0.0, 0.0) if times is None else (time.perf_counter(), time.thread_time())
     status = do_step(int(wiring.instances[c]), start, size, 1)
     if times is not None:
-        times[:, c] += 1.0, time.perf_counter() - before
+        times[:, c] += 1.0, time.perf_counter() - before, time.thread_time() - used
     if status == DISCARD and not wiring.error_logged[c] and _terminates_at(wiring, c, end):
         wiring.report[Report.TERMINATED] = c + 1
         status = OK

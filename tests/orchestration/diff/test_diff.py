@@ -1,19 +1,23 @@
 """Differences of two FMUs: their levels, where results differ, and the exit status."""
 
 import json
+import re
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fmus.files import write_archive
+from fmus.fmi.description import describe
 from orchestration.cli.commands import run_command
 from orchestration.cli.package_fmus import build_started
-from orchestration.diff.behaviour import _of_recordings
-from orchestration.diff.change import Level
+from orchestration.diff.behaviour import _of_recordings, _signal, speed
+from orchestration.diff.change import Change, Level
+from orchestration.diff.command import _changes
 from orchestration.diff.interface import file_changes, interface_changes
 from orchestration.results.recording import Recording
-from tests.described_fmus import described, redescribed
+from tests.described_fmus import XML, described, redescribed
 from tests.shared_builds import Fmus
 
 
@@ -110,4 +114,85 @@ def test_one_changed_gain_of_two_builds_is_said_in_a_line(
         assert "minor  interface  rate_feedback_gain: start 20.23 -> 25.0\n" in printed[-1]
         assert printed[-1].endswith(": minor\n")
     assert "minor  behaviour  differs first at t = 0.04 s in fmu." in printed[0]
+    assert "minor  behaviour  ModelExchange: differs first at t = " in printed[0]
     assert "behaviour" not in printed[1]
+
+
+def compared(old: Path, new: Path) -> list[Change]:
+    return _changes(old, new, 30.0, "", "")
+
+
+def test_of_an_fmu_with_both_interfaces_both_are_compared(built: Fmus, tmp_path: Path) -> None:
+    def changed(name: str, old: str, new: str) -> Path:
+        return redescribed(built["WaveSource"], tmp_path / name, lambda xml: re.sub(old, new, xml, count=1))
+
+    whole = built["WaveSource"]
+    alone = changed("alone.fmu", "(?s)<ModelExchange.*</ModelExchange>", "")
+    assert compared(whole, alone) == [Change(Level.MAJOR, "interface", "ModelExchange is gone")]
+    assert compared(alone, whole) == [Change(Level.MINOR, "interface", "ModelExchange is new")]
+    saving = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true"'
+    lacking = changed("lacking.fmu", f"(?<=<ModelExchange )(.*?){saving}", r"\1")
+    assert [(level, text) for level, _, text in compared(whole, lacking)] == [
+        (Level.MAJOR, "ModelExchange: canGetAndSetFMUstate true -> false"),
+        (Level.MAJOR, "ModelExchange: canSerializeFMUstate true -> false"),
+    ]
+
+
+def test_one_block_in_both_standards_gives_the_same_results(built: Fmus, fmi3_built: Fmus) -> None:
+    """An importer of FMI 2.0 alone cannot read the other; arrays have the names of their scalars."""
+    found = compared(built["ThrustAllocation"], fmi3_built["ThrustAllocation"])
+    assert [c.text for c in found if c.level is Level.MAJOR and c.part == "interface"] == ["FMI 2.0 -> 3.0"]
+    assert {c.part for c in found} == {"interface", "files"}
+    assert not [c for c in found if " is gone" in c.text]
+    assert [c.text for c in found if " is new" in c.text] == ["independent time is new"]
+
+
+def test_an_array_in_place_of_a_scalar_is_named(tmp_path: Path) -> None:
+    array = (
+        '<Float64 name="u" valueReference="1" causality="input" start="0"><Dimension start="2"/></Float64>'
+    )
+    description = (
+        '<fmiModelDescription fmiVersion="3.0" modelName="f" instantiationToken="none">'
+        f'<CoSimulation modelIdentifier="described"/><ModelVariables>{array}</ModelVariables>'
+        "<ModelStructure/></fmiModelDescription>"
+    )
+    new = write_archive(tmp_path / "array.fmu", {XML: description.encode()})
+    texts = [c.text for c in compared(fmu(tmp_path), new)]
+    assert [text for text in texts if "input" in text] == [
+        "input u is gone",
+        "input u[1] is new",
+        "input u[2] is new",
+    ]
+
+
+def test_the_speed_is_told_and_is_no_difference(
+    built: Fmus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plant = built["ExamplePlant"]
+    other = redescribed(plant, tmp_path / "other.fmu", lambda xml: xml + "<!-- same -->")
+    assert run_command(["diff", str(plant), str(other)]) == 0
+    told, verdict = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"speed  a step takes \S+ times the CPU time: \S+ us -> \S+ us", told)
+    assert verdict.endswith(": equal")
+
+
+def test_the_speed_is_the_ratio_of_the_new_one_to_the_old_one(built: Fmus, tmp_path: Path) -> None:
+    plant = built["ExamplePlant"]
+    (step,) = (float(v.start or 0) for v in describe(plant).modelVariables if v.name == "internal_step")
+    slow = build_started(plant, {"internal_step": step / 20.0}, tmp_path)
+    # 3 here: a call, and reading the clock, take time whatever the internal step is
+    assert float(speed(plant, slow, 30.0).split()[3]) > 2.0
+    assert float(speed(slow, plant, 30.0).split()[3]) < 0.5
+
+
+@pytest.mark.parametrize("start", ["0.0", "2.0", "-1.0"])
+def test_inputs_move_inside_their_declared_range_also_where_they_start_at_its_end(
+    tmp_path: Path, start: str
+) -> None:
+    def limited(xml: str) -> str:
+        return xml.replace('<Real start="0.0"/>', f'<Real start="{start}" min="-1" max="2"/>', 1)
+
+    (u, *_) = describe(redescribed(fmu(tmp_path), tmp_path / "limited.fmu", limited)).modelVariables
+    values = _signal(u, 0, 10.0).at(np.linspace(0.0, 10.0, 1000))
+    assert -1.0 <= values.min() < values.max() <= 2.0
+    assert np.ptp(values) > 1.0  # a third of the range: two sines of a quarter and an eighth of it

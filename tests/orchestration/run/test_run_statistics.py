@@ -74,6 +74,8 @@ def test_time_is_that_of_the_fmu_that_takes_it(linear: Build, tmp_path: Path, co
     quick = found["fmus"]["quick"]["wall_s"] + found["rest_of_loop_s"]
     assert quick == pytest.approx(found["phases_s"]["stepping"] - found["fmus"]["slow"]["wall_s"])
     assert found["fmus"]["quick"]["wall_s"] < found["fmus"]["slow"]["wall_s"]
+    # it sleeps, which takes no processor
+    assert 0.0 < found["fmus"]["slow"]["cpu_s"] < 0.5 * found["fmus"]["slow"]["wall_s"]
 
 
 def test_steps_on_threads_are_counted_but_leave_no_rest(linear: Build) -> None:
