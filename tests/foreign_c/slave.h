@@ -172,6 +172,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     Slave *s = c;
     MUST_BE(WRITABLE, "fmi2SetRealInputDerivatives");
     if (!config.interpolates_inputs) return refuse(s, fmi2Error, "fmi2SetRealInputDerivatives: not claimed");
+    MUST_EXIST("fmi2SetRealInputDerivatives");
     for (size_t i = 0; i < n; i++) {
         if (order[i] != 1) return refuse(s, fmi2Error, "fmi2SetRealInputDerivatives: order %d: expected 1", order[i]);
         s->data.input_rate[vr[i]] = value[i];
@@ -183,6 +184,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2Integer order[], fmi2Real value[]) {
     Slave *s = c;
     MUST_BE(STEPPING | TERMINATED, "fmi2GetRealOutputDerivatives");
+    MUST_EXIST("fmi2GetRealOutputDerivatives");
     for (size_t i = 0; i < n; i++) {
         if (order[i] < 1 || order[i] > config.output_derivative_order)
             return refuse(s, fmi2Error, "fmi2GetRealOutputDerivatives: order %d: not claimed", order[i]);
