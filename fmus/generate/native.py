@@ -39,7 +39,7 @@ _SETTABLE = {"fixed": "BEFORE_STEPPING", "continuous": "ALWAYS"} | dict.fromkeys
 )
 _FIRST = """
 /* By value reference, from 1: index of its first scalar in these tables; last, the number of scalars. */
-static const unsigned FIRST[] = {{0, {}, sizeof ACCESS / sizeof *ACCESS}};
+static const fmi3ValueReference FIRST[] = {{0, {}, sizeof ACCESS / sizeof *ACCESS}};
 """
 
 

@@ -120,7 +120,7 @@ static int are_elements(Instance *instance, int modes, Type type, const fmi3Valu
         if (!is_variable(vr[i]))
             return refuse(instance, fmi3Error, "%s: value reference %u: expected 1..%d of " MODEL_NAME, function, vr[i],
                           N_REFERENCES), 0;
-        const unsigned first = FIRST[vr[i]];
+        const fmi3ValueReference first = FIRST[vr[i]];
         if (!are_of_type(instance, type, &first, 1, function)) return 0;
         if (instance->data.mode & INSIDE_STEPS && !is_intermediate(first))
             return refuse(instance, fmi3Error, "%s: %s: expected a variable with intermediateUpdate", function,
@@ -163,7 +163,7 @@ static fmi3Status check_get(Instance *instance, Type type, const fmi3ValueRefere
         const fmi3##Name *value = values;                                                                      \
         if (!are_elements(instance, ALWAYS, TYPE, vr, nvr, values, nValues, function)) return fmi3Error;       \
         for (size_t i = 0; i < nvr; i++)                                                                       \
-            for (unsigned r = FIRST[vr[i]]; r < FIRST[vr[i] + 1]; r++, value++)                                \
+            for (fmi3ValueReference r = FIRST[vr[i]]; r < FIRST[vr[i] + 1]; r++, value++)                      \
                 if (!can_be_set(&instance->data, r, TYPE, (double)*value))                                     \
                     return cannot_be_set(instance, TYPE, &r, 1, 0, (double)*value, function);                  \
         for (size_t i = 0; i < nvr; i++)                                                                       \
