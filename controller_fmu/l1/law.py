@@ -121,7 +121,7 @@ def initial_law(measured: Measurement, parameters: LawParameters) -> LawState:
     LawState
     """
     p = parameters
-    # without the condition, derivatives at a bound of 0 are those of a kink
+    # the limit has a kink at a bound of 0, where its derivatives have no meaning
     sigma_hat = where(p.sigma_bound > 0.0, keep_within(p.initial_sigma_hat, p.sigma_bound), 0.0)
     estimates = Estimates(sigma_hat=sigma_hat, omega_hat=p.input_gain)
     return LawState(measured, estimates, filter=FilterState(p.initial_u_a), sample=Sample(measured.x))
