@@ -24,7 +24,9 @@ def prove(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="Folder for an FMU of each block, with the result as a page inside."),
+        typer.Option(
+            "--out", metavar="DIR", help="Folder for an FMU of each block, with the result as a page inside."
+        ),
     ] = None,
     fmi: Annotated[int, typer.Option("--fmi", help="Version of FMI of these FMUs: 2 or 3.")] = 2,
 ) -> None:

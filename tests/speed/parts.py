@@ -301,7 +301,7 @@ def importer(name: str, distribution: str, records: str) -> Measure:
 
     def read(state: State, quick: bool) -> Rows:
         two = pair(state)
-        job = replace(packaged(two, state.folder), output="first.level")
+        job = replace(packaged(two, state.folder), outputs=(("first", "level"),))
         answer = answer_of(time_steps, (name, two, job, 0.0 if quick else 0.05), 120.0)
         if isinstance(answer, str):
             raise OrchestrationError(f"{name}: {answer}")
@@ -330,10 +330,10 @@ def time_steps(parent: Parent) -> None:
         start, stop_time = time.perf_counter(), steps * STEP_SIZE
         if name == "this master":
             with Simulator(two.system) as simulator:
-                values = simulator.run(replace(two.experiment, stop_time=stop_time))[job.output]
+                values = simulator.run(replace(two.experiment, stop_time=stop_time))["first.level"]
         else:
             _, reported = IMPORTERS[name].run(replace(job, stop_time=stop_time, report_every=steps))
-            values = np.asarray(reported)
+            values = np.asarray(reported)[:, 0]
         return time.perf_counter() - start, float(values[-1])
 
     steps = 1 << 10
