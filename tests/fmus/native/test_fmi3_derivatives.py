@@ -101,6 +101,7 @@ def in_arrays(chosen: Sequence[int], block: Block) -> tuple[list[int], list[int]
 def test_derivatives_are_those_of_casadi(open_fmi3: Open, name: str, mode: str) -> None:
     """To 1e-12 of the products that each is the sum of: the order of the sums is another.
 
+    A row in which CasADi's order leaves none, as of the unit vector B_u, is held to the largest of all products.
     CasADi has no number where a thruster's table has an interval of no length: it multiplies its slope by 0.
     """
     block, reference = block_named(name), derivatives(name)[mode]
@@ -123,7 +124,9 @@ def test_derivatives_are_those_of_casadi(open_fmi3: Open, name: str, mode: str) 
         along, across = np.zeros(len(columns)), np.zeros(len(rows))
         along[j], across[i] = random.normal(size=len(j)) * is_finite[j], random.normal(size=len(i))
         forward = fmu.fmu.getDirectionalDerivative(unknowns, knowns, along[j], len(i))
-        assert np.all(np.abs(forward - (jacobian @ along)[i]) <= 1e-12 * size @ np.abs(along[j]))
+        products = size @ np.abs(along[j])
+        products[products == 0.0] = products.max()
+        assert np.all(np.abs(forward - (jacobian @ along)[i]) <= 1e-12 * products)
         adjoint = np.array(fmu.fmu.getAdjointDerivative(unknowns, knowns, across[i], len(j)))
         expected = np.array(reference.adjoint(*point, across)).ravel()
         off = np.abs(adjoint - expected[j])[is_finite[j]]
