@@ -44,7 +44,7 @@ TO_END_S = 30.0  # for killed processes, on a machine that is busy
 # y' = u from 0 for 1 s, so that y ends at u
 SWEEP = """
 [components]
-f = "{fmu}"
+f = '{fmu}'
 [experiment]
 stop_time = 1.0
 step_size = 0.1

@@ -11,7 +11,7 @@ from orchestration.sweep.plan import Plan, plan
 
 SCENARIO = """
 [components]
-r = "{fmu}"
+r = '{fmu}'
 [experiment]
 stop_time = {stop_time}
 step_size = 0.01

@@ -177,7 +177,7 @@ def test_a_relative_draw_about_a_negative_value_keeps_to_the_range_of_the_fmu(tm
     plain = described(tmp_path / "plain.fmu", inputs=["u"])
     fmu = redescribed(plain, tmp_path / "r.fmu", lambda xml: xml.replace("<Real ", '<Real min="-3" max="1" '))
     text = (
-        f'[components]\nr = "{fmu}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n[inputs]\n"r.u" = -2.0\n'
+        f'[components]\nr = "{fmu.as_posix()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n[inputs]\n"r.u" = -2.0\n'
     )
     declared = 'relative = true\ndistribution = "normal"\nmean = 1.0\nstd = 2.0\ntruncate = true'
     path = tmp_path / "negative.toml"
