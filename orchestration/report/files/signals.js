@@ -13,7 +13,7 @@ function signalsSection() {
   const panels = new Map(); // unit -> {figure, caption, legend, plot, slots, hidden, y}
   let zoom = null; // [from, to] in s, or null for all
 
-  const panelOf = (signal) => (signal.error_of ? `error [${signal.unit}]` : signal.unit);
+  const panelOf = (signal) => (signal.error_of ? `Error [${signal.unit}]` : signal.unit);
   const units = [...new Set(page.runs.flatMap((run) => run.signals.map(panelOf)))]; // and errors apart
   const errors = new Map(page.runs.flatMap((run) => run.signals).filter((signal) => signal.error_of).map((signal) => [panelOf(signal), signal.error_of]));
   const beside = new Map([...errors, ...[...errors].map(([error, unit]) => [unit, error])]); // the panels of a signal and its error

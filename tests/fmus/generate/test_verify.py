@@ -460,13 +460,13 @@ def ranged(rule: Callable[[float, float], Any], first: float = 0.5) -> Block:
     [
         (
             ranged(lambda u, x: x + 0.0625),
-            r"step gives x = 2.\d+: expected 0.0..2.0 m at t = .*, h = .*x = ",
+            r"step gives x = 2.\d+: expected 0 to 2 m at t = .*, h = .*x = ",
         ),
         (
             ranged(lambda u, x: numerics.clip(u, -1.0, 1.0)),
-            r"step gives x = -.*: expected 0.0..2.0 m at t = .*u = ",
+            r"step gives x = -.*: expected 0 to 2 m at t = .*u = ",
         ),
-        (ranged(lambda u, x: x, 3.0), r"initial_state gives x = 3.0: expected 0.0..2.0 m at t = 0.0$"),
+        (ranged(lambda u, x: x, 3.0), r"initial_state gives x = 3.0: expected 0 to 2 m at t = 0.0$"),
         (
             ranged(lambda u, x: 0.1 / (x + 0.1) + 0.0 / x),
             r"step gives no finite number for a state in its range at .*x = 0.0",
