@@ -30,12 +30,14 @@ Contents = dict[str, str | bytes]
 
 # of the home page; a clone has neither the live page nor the archives
 _OF_THE_SITE = """
-Downloads: [all FMUs](downloads/fmus.zip) for all platforms, the closed loop as an [SSP package](downloads/ssp.zip).
+Downloads: [all FMUs](downloads/fmus.zip) for all platforms, the closed loop as an
+[SSP package](downloads/ssp.zip).
 
 The experiment above, compiled to WebAssembly; a slider starts new runs
 ([more](reference/live.md), [the page alone](live.html)).
 
-<iframe src="live.html" title="The nominal experiment with sliders" loading="lazy" style="width: 100%; height: 56rem; border: 0"></iframe>
+<iframe src="live.html" title="The nominal experiment with sliders" loading="lazy"
+style="width: 100%; height: 56rem; border: 0"></iframe>
 """
 
 
