@@ -210,7 +210,11 @@ EXAMPLES = [
     # a score runs all cases
     [pytest.param(x, id=str(x), marks=pytest.mark.slow if x.name == "score.py" else []) for x in EXAMPLES],
 )
-def test_the_examples_of_docstrings_run_and_print_what_they_show(path: Path) -> None:
+def test_the_examples_of_docstrings_run_and_print_what_they_show(
+    path: Path, request: pytest.FixtureRequest
+) -> None:
+    if "load_scenario(" in (ROOT / path).read_text(encoding="utf-8"):
+        request.getfixturevalue("scenario_fmus")
     module = import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
     ran = doctest.testmod(module, extraglobs={"dataclass": dataclass})
     assert (ran.failed, ran.attempted > 0) == (0, True)
