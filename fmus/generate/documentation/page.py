@@ -42,7 +42,7 @@ _ARRAYS = {
 }
 _EXCHANGE = "<tr><td>Model exchange</td><td>{}</td></tr>"
 _BUILDING = """<li>For another platform compile sources/{file} with the importer's headers of FMI {fmi}.0;
-FMI{fmi}_OVERRIDE_FUNCTION_PREFIX gives functions the names of a shared library:
+FMI{fmi}_OVERRIDE_FUNCTION_PREFIX makes them export the names of FMI:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
 _HEADINGS = ("Name", "Meaning", "Unit or type", "Start", "Permitted", "Variability", "Source")
