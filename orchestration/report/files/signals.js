@@ -13,7 +13,7 @@ function signalsSection() {
   const panels = new Map(); // unit -> {figure, caption, legend, plot, slots, hidden, y}
   let zoom = null; // [from, to] in s, or null for all
 
-  const panelOf = (signal) => (signal.error_of ? `Error [${signal.unit}]` : signal.unit);
+  const panelOf = (signal) => (signal.error_of ? `error [${signal.unit}]` : signal.unit);
   const units = [...new Set(page.runs.flatMap((run) => run.signals.map(panelOf)))]; // and errors apart
   const errors = new Map(page.runs.flatMap((run) => run.signals).filter((signal) => signal.error_of).map((signal) => [panelOf(signal), signal.error_of]));
   const beside = new Map([...errors, ...[...errors].map(([error, unit]) => [unit, error])]); // the panels of a signal and its error
@@ -160,7 +160,7 @@ function signalsSection() {
     fillLegend(made.legend, styled);
     const shown = styled.filter((line) => !line.hidden).sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
     chart(made.plot, shown, {
-      y: page.axes[unit] ?? unit, range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
+      y: page.axes[unit] ?? unit.replace("error", "Error"), range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
       legend: made.legend, zoomed: (x, y) => zoomed(made, x, y),
     });
   }
