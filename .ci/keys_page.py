@@ -6,7 +6,7 @@ _HEAD = """\
 # Keys of scenario files
 
 Every key of a [scenario file](scenarios.md), from its
-[JSON schema](../downloads/scenario.schema.json). `l1-depth explain` prints the same tables.
+[JSON schema](../../orchestration/scenarios/scenario.schema.json). `l1-depth explain` prints the same tables.
 Arguments in bold are required; the others show their default value, if they have one."""
 
 

@@ -28,6 +28,18 @@ _KERNEL = {"name": "python3", "display_name": "Python 3", "language": "python"}
 
 Contents = dict[str, str | bytes]
 
+# of the home page; a clone has neither the live page nor the archives
+_OF_THE_SITE = """
+Downloads: [all FMUs](downloads/fmus.zip) for all platforms, the closed loop as an
+[SSP package](downloads/ssp.zip).
+
+The experiment above, compiled to WebAssembly; a slider starts new runs
+([more](reference/live.md), [the page alone](live.html)).
+
+<iframe src="live.html" title="The nominal experiment with sliders" loading="lazy"
+style="width: 100%; height: 56rem; border: 0"></iframe>
+"""
+
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages, figures and downloads."""
@@ -37,8 +49,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead the links of the gallery's list to its pages, which show what the scripts print and draw."""
-    return re.sub(r"\]\((\w+)\.py\)", r"](\1.md)", markdown) if page.url.startswith("gallery/") else markdown
+    """Lead links to files that the site has elsewhere there, and show on the home page what it alone has.
+
+    The gallery's list leads to its pages, which show what the scripts print and draw.
+    """
+    if page.url.startswith("gallery/"):
+        markdown = re.sub(r"\]\((\w+)\.py\)", r"](\1.md)", markdown)
+    markdown = markdown.replace("](../../orchestration/scenarios/", "](../downloads/")
+    return markdown + _OF_THE_SITE if page.is_homepage else markdown
 
 
 @functools.cache  # once, when `mkdocs serve` builds again and again

@@ -47,13 +47,13 @@ class ActuatorParameters:
     )
     thruster_tabulated: bool = variable(
         False,
-        "Takes the voltages from the table, in place of the gain",
+        "Whether the table gives the voltages, in place of the gain",
         variability="fixed",
         source="assumed: the paper has a line, (11)",
     )
     thruster_scale: Vector = variable(
         (1.0, 1.0),
-        "Factor of the table's force: thrusters that a voltage drives",
+        "Number of thrusters that a voltage drives: factor of the table's force",
         min=1e-3,
         max=1e3,
         source="assumed: one thruster each",
@@ -64,7 +64,7 @@ class ActuatorParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: 12 V stands for a pulse of 1100 us, -12 V for 1900 us, as the vehicles have it",
+        source="chosen: 12 V stands for a pulse of 1100 us, -12 V for 1900 us, as on the vehicles",
     )
     thruster_table_force: Table = variable(
         tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V),

@@ -1,5 +1,7 @@
 """Errors that a user can put right, and the words they share."""
 
+import math
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
@@ -63,3 +65,22 @@ def listed(words: Sequence[str], most: int) -> str:
     # "and 1 more" takes as much room as the word itself
     hidden = len(words) - most
     return ", ".join(words) if hidden <= 1 else f"{', '.join(words[:most])} and {hidden} more"
+
+
+def number_text(value: float) -> str:
+    """Returns a number as a reader writes it, with at most 12 digits: 0.1, 1e-6, 1e6 or 2147483647."""
+    text = f"{value:g}" if float(f"{value:g}") == value else f"{value:.12g}"
+    return re.sub(r"e([+-])0*", lambda exponent: "e" + exponent[1].strip("+"), text)
+
+
+def range_text(low: float, high: float, unit: str | None = None) -> str:
+    """Returns the numbers between two limits in words, with their unit; an infinite limit is no limit."""
+    in_unit = "" if unit in (None, "", "1") else f" {unit}"
+    if math.isinf(low) and math.isinf(high):
+        return "a finite number" + (in_unit and f" in{in_unit}")
+    if math.isinf(low):
+        return f"at most {number_text(high)}{in_unit}"
+    limits = (
+        f"at least {number_text(low)}" if math.isinf(high) else f"{number_text(low)} to {number_text(high)}"
+    )
+    return limits + in_unit

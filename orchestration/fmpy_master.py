@@ -211,6 +211,17 @@ def simulate(
         For values that are not finite or do not settle at the start, or a step of FMI 3.0 that ends early.
     FMICallException
         Of FMPy, for a call that an FMU refuses.
+
+    Examples
+    --------
+    >>> from orchestration import load_scenario
+    >>> fmus = {"plant": load_scenario("nominal-extended").system.components["plant"]}
+    >>> voltages = {"plant.voltage[1]": 6.0, "plant.voltage[2]": 6.0}
+    >>> recording = simulate(
+    ...     fmus, stop_time=2.0, step_size=0.02, start_values=voltages, record=["plant.depth"]
+    ... )
+    >>> recording["plant.depth"].shape
+    (101,)
     """
     if algorithm not in ("jacobi", "gauss-seidel"):
         raise SystemDefinitionError(f"algorithm {algorithm!r}: expected 'jacobi' or 'gauss-seidel'")

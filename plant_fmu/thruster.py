@@ -120,13 +120,13 @@ class ThrusterParameters:
     )
     thruster_tabulated: bool = variable(
         False,
-        "Takes the force from the table, in place of gain, dead zone, reverse ratio and curvature",
+        "Whether the table gives the force, in place of gain, dead zone, reverse ratio and curvature",
         variability="fixed",
         source="assumed: the paper has a line, (11)",
     )
     thruster_scale: Pair = variable(
         (1.0, 1.0),
-        "Factor of the table's force: thrusters that a voltage drives, and their wear",
+        "Number of thrusters that a voltage drives, times their wear: factor of the table's force",
         min=0.0,
         max=1e3,
         source="assumed: one thruster each",

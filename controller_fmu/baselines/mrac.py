@@ -38,11 +38,16 @@ _LARGEST_BOUND = 1e6
 @dataclass(frozen=True)
 class Parameters(depth_interface.DesignParameters):
     depth_gain: float = variable(
-        5.5, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source=_POLES + "M w^2 for M = 5.5 kg"
+        5.5,
+        "State feedback k_m of the depth",
+        unit="N/m",
+        min=1e-6,
+        max=1e6,
+        source=_POLES + "M w^2 for M = 5.5 kg",
     )
     rate_gain: float = variable(
         8.5,
-        "k_m of the depth rate",
+        "State feedback k_m of the depth rate",
         unit="N.s/m",
         min=0.0,
         max=1e6,

@@ -36,10 +36,20 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
     """Parameters: gains are tunable at communication points, structural choices are fixed."""
 
     depth_feedback_gain: float = variable(
-        1.895, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
+        1.895,
+        "State feedback k_m of the depth",
+        unit="N/m",
+        min=1e-6,
+        max=1e6,
+        source="identified, docs/fidelity.md",
     )
     rate_feedback_gain: float = variable(
-        20.23, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
+        20.23,
+        "State feedback k_m of the depth rate",
+        unit="N.s/m",
+        min=0.0,
+        max=1e6,
+        source="identified, docs/fidelity.md",
     )
     adaptation_gain: float = variable(
         100.0,
@@ -244,16 +254,16 @@ y            = C x = z
         " augmentation, the depth lags on a ramp by about"
         " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
         "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
-        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The delay"
-        " margin of the measurement falls and rises again: 204 ms at 100, 17 ms at 1000, 131 ms at 1e4."
-        " Watch sigma_hat and the voltages as well as the depth.",
+        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The loop"
+        " tolerates a sensor delay of 204 ms at 100, 17 ms at 1000 and 131 ms at 1e4. Watch sigma_hat and the"
+        " voltages as well as the depth.",
         "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy."
         " If an estimate stays on its bound, the bound is too small or the loop too fast.",
         "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
         " With nonlinear_p, large_error_gain = small_error_gain avoids a jump at nonlinear_threshold.",
         "If the derivatives of the reference are known, connect depth_reference_rate and"
-        " depth_reference_acceleration and set reference_feedforward: inside leaves the lag of the filter,"
-        " outside leaves none. augmentation then acts on the remaining error.",
+        " depth_reference_acceleration and set reference_feedforward. With inside, the lag of the filter"
+        " remains; with outside, no lag. augmentation then acts on the remaining error.",
         "adaptation_law piecewise_constant needs no adaptation_gain and no bounds. It differentiates the"
         " depth rate over adaptation_period, so its estimates are noisier. A slow prediction_error_matrix A_s"
         " gives the smallest offset; an adaptation_period below observer_period only adds noise.",
@@ -263,7 +273,7 @@ y            = C x = z
         *LAW_LIMITS,
         "The paper publishes no gains for its vehicle. The column Source says which gains were fitted to the"
         " nominal row of its Table 1; the others are guesses. All were tried on RovDepthPlant alone.",
-        "On that plant, holding 0.8 m, adaptation_gain 100 loses the depth above 200 ms of sensor delay;"
+        "On that plant, at 0.8 m, the loop with adaptation_gain 100 is unstable above 200 ms of sensor delay;"
         " with 1000 the depth oscillates at 10 ms.",
         shared_guide.VEHICLE_LIMIT,
     ),

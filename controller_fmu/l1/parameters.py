@@ -166,7 +166,7 @@ class LawParameters(PlantParameters):
     )
     input_gain: float = variable(
         1.0,
-        "Centre of the box of omega_hat, and its initial value",
+        "Centre of the range of omega_hat, and its initial value",
         min=1e-3,
         max=LARGEST_GAIN,
         variability="fixed",
@@ -174,7 +174,7 @@ class LawParameters(PlantParameters):
     )
     input_gain_uncertainty: float = variable(
         0.0,
-        "Half-width of the box of omega_hat; 0 holds it",
+        "Half-width of the range of omega_hat; 0 fixes it",
         min=0.0,
         max=LARGEST_GAIN,
         source="published: omega is known",
@@ -187,7 +187,7 @@ class LawParameters(PlantParameters):
     )
     input_gain_regressor: InputGainRegressor = variable(
         InputGainRegressor.ADAPTIVE_CONTROL,
-        "Control that omega_hat learns from",
+        "Control from which omega_hat is estimated",
         variability="fixed",
         source="published: u_a, which precedes the extension",
     )

@@ -26,7 +26,7 @@ from fmus.block.variables import (
     state_variables,
     variable,
 )
-from fmus.errors import nearest
+from fmus.errors import nearest, range_text
 
 __all__ = ["Block", "NoValues", "variable"]
 
@@ -147,7 +147,7 @@ class Block:
             )
         if "internal_step" not in {declared.name for declared in fields(self.parameters)}:
             if not _SHORTEST <= self.step_size <= _LONGEST:
-                expected = f"expected {_SHORTEST!r}..{_LONGEST!r} s, the range of the internal step"
+                expected = f"expected {range_text(_SHORTEST, _LONGEST, 's')}, the range of the internal step"
                 raise TypeError(f"block {self.name!r}: step_size {self.step_size!r}: {expected}")
             start = float(self.step_size)
             object.__setattr__(self, "parameters", _with_internal_step(self.parameters, start))

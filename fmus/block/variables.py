@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 
 from fmus.block.scalars import members
 from fmus.block.units import per_second
+from fmus.errors import range_text
 
 Value = float | int | bool
 Numbers = float | tuple["Numbers", ...]
@@ -160,14 +161,11 @@ class BlockVariable:
         """Values that are acceptable, in words."""
         if self.enumeration:
             return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
-        unit = f" {self.unit}" if self.unit not in (None, "1") else ""
         if self.type == "Boolean":
             return "0 (false) or 1 (true)"
-        if self.minimum is None and self.maximum is None:
-            return f"a finite number{unit}"
-        low = "-inf" if self.minimum is None else self.minimum
-        high = "inf" if self.maximum is None else self.maximum
-        return f"{low}..{high}{unit}"
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        return range_text(low, high, self.unit)
 
 
 # causality, FMI variability, initial of each of a block's interface classes

@@ -23,21 +23,29 @@ _LINE = re.compile(r"(?:^|\()line (\d+)[:)]")  # FMPy puts it into parentheses
 _NAMED = re.compile(r"'([^']+)'|(?:^|\bof )([^\s:']+?)(?=[:,]?(?:\s|$))")
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?(?:[/\\][^/\\\s:'\"]+)+[/\\]")  # of an absolute path
 _NUMBER = re.compile(r"(?<![\w\[#.])[+-]?(?:0x[0-9a-f]+|\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\w\]])")
-_MORE = re.compile(r" \(and (\d+) more like it\)")  # of `counted`
+_MORE = re.compile(r" \(and (?:(\d+) more like it\)|also: (.*?)\)?$)")  # of `_with_others`
 _START = re.compile(r", (?:[\w ]+ )?in a run")  # in words of `differential.starts`
 _TYPES = {str: "a text", date: "a date, such as 2027-01-31 without quotes"}
 
 
 def counted(messages: Iterable[str]) -> Iterator[str]:
-    """Yields the first message of each cause with the number of others: those about the same variable, or
-    that differ in numbers or in where their run begins.
+    """Yields the first message of each cause with the other one, or with the number of others.
+
+    Messages of one cause are about the same variable, or differ in numbers or in where their run begins.
     """
     causes: dict[str, list[str]] = {}
     for message in messages:
         cause = _NUMBER.sub("#", _START.sub("", message).split(" is ", 1)[0])
         causes.setdefault(cause, []).append(message)
-    for first, *others in causes.values():
-        yield f"{first} (and {len(others)} more like it)" if others else first
+    return map(_with_others, causes.values())
+
+
+def _with_others(messages: Sequence[str]) -> str:
+    """Returns the first message with the second one; with the number of others where they are more."""
+    first, *others = messages
+    if len(others) == 1:
+        return f"{first} (and also: {others[0]})"
+    return f"{first} (and {len(others)} more like it)" if others else first
 
 
 @dataclass(frozen=True)
@@ -216,14 +224,19 @@ def no_longer_found(baseline: Mapping[str, int], findings: Iterable[Finding], fm
     return sum(count for key, count in gone.items() if key.startswith(places))
 
 
-def folded(findings: Iterable[Finding]) -> list[tuple[Finding, int]]:
-    """Returns the first finding of each rule about each FMU, with the number of others like it."""
+def folded(findings: Iterable[Finding]) -> list[Finding]:
+    """Returns the first finding of each rule about each FMU, with the other one or the number of others."""
     groups: dict[tuple[Path, str, str], list[Finding]] = {}
     for finding in findings:
         groups.setdefault((finding.fmu, finding.rule.name, finding.accepted), []).append(finding)
-    folded = list[tuple[Finding, int]]()
-    for group in groups.values():
-        numbers = (_MORE.search(finding.message) for finding in group)
-        others = sum(1 + int(number[1] if number else 0) for number in numbers) - 1
-        folded.append((replace(group[0], message=_MORE.sub("", group[0].message)), others))
-    return folded
+    return [
+        replace(group[0], message=_with_others([text for one in group for text in _unfolded(one.message)]))
+        for group in groups.values()
+    ]
+
+
+def _unfolded(message: str) -> list[str]:
+    """Returns the messages that `_with_others` made one; "" for those that were counted."""
+    more = _MORE.search(message)
+    others = [] if more is None else [more[2]] if more[2] else [""] * int(more[1])
+    return [_MORE.sub("", message), *others]

@@ -143,16 +143,15 @@ class InShort(NamedTuple):
 
 def in_short(checked: Checked, path: Path) -> Iterator[InShort]:
     """Yields a line for each broken rule, and one for all rules of a level that does not fail."""
-    of_fmu = [(finding, others) for finding, others in folded(checked.open) if finding.fmu == path]
+    of_fmu = [finding for finding in folded(checked.open) if finding.fmu == path]
     for level in Level:
-        of_level = [(finding, others) for finding, others in of_fmu if finding.rule.level is level]
+        of_level = [finding for finding in of_fmu if finding.rule.level is level]
         if len(of_level) > 1 and not checked.fails(level):
-            names = ", ".join(finding.rule.name for finding, _ in of_level)
+            names = ", ".join(finding.rule.name for finding in of_level)
             yield InShort(level, f"{len(of_level)} rules, see --all", names)
             continue
-        for finding, others in of_level:
-            more = f" (and {others} more like it)" if others else ""
-            yield InShort(level, _title(finding.rule), finding.text + more, finding.line, _calls(finding))
+        for finding in of_level:
+            yield InShort(level, _title(finding.rule), finding.text, finding.line, _calls(finding))
 
 
 def _line(finding: Finding) -> str:

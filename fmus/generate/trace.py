@@ -165,9 +165,7 @@ def trace(block: Block) -> Traced:
     except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
         # CasADi's message for symbols that are no arguments of a function
         if " are free." in str(error):
-            reason = (
-                f"a function changes its arguments, or gives what an earlier call has kept; {guard.NO_MEMORY}"
-            )
+            reason = f"a function changes its arguments or depends on an earlier call; {guard.NO_MEMORY}"
             raise ExportError(f"block {block.name!r} cannot be traced: {reason}") from error
         raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
 
@@ -194,7 +192,7 @@ def _copied(block: Block, state: casadi.SX, held: casadi.SX) -> list[int]:
     for wrong in (i for i in changed if casadi.depends_on(held[i], state[changed])):
         name = [*scalar_names(block.state)][wrong]
         raise ExportError(
-            f"block {block.name!r}: {guard.location(block.step)}step changes {name} by what it was: "
+            f"block {block.name!r}: {guard.location(block.step)}step: {name} depends on its former value: "
             "expected at_events(state, new) or sampled(...) of fmus.numerics around it"
         )
     return changed

@@ -35,7 +35,7 @@ _TRACED = "when it is traced"
 _COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, and build again"
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 _OF_CONTINUOUS = ("derivative", "crossings")
-_INTEGRATED = "as the function integrate has it in a short step"
+_INTEGRATED = "as the rate of the function integrate"
 # After so many internal steps, one that is half a per cent longer than the period is late.
 _INTERNAL_STEPS = 200
 # relative: two ways to the same derivative
@@ -79,7 +79,7 @@ class Comparison:
             result = self._python(*arguments)
             values = [holds for holds, _ in result] if self._are_requirements else flatten(result)
             if not all(isinstance(value, complex) or are_numbers(value) for value in values):
-                raise ExportError(f"{self._where} gives what an earlier call has kept; {NO_MEMORY}")
+                raise ExportError(f"{self._where} depends on an earlier call; {NO_MEMORY}")
             if any(isinstance(value, complex) or not math.isfinite(value) for value in values):
                 return None, None
         except ExportError:

@@ -218,7 +218,9 @@ def _check_points(points: Sequence[float], values: int, jumps: bool = False) -> 
     if len(points) != values:
         raise ValueError(f"{len(points)} points and {values} values: expected as many")
     if are_numbers(*points) and not all(a < b or (jumps and a == b) for a, b in pairwise(points)):
-        raise ValueError(f"points {tuple(points)}: expected ascending numbers, of parameters by requirements")
+        raise ValueError(
+            f"points {tuple(points)}: expected ascending numbers; requirements refuse other parameters"
+        )
 
 
 def _weights(x: float, points: Sequence[float]) -> list[float]:

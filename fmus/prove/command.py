@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from fmus.errors import range_text
+
 PANEL = "FMUs"  # of the help of l1-depth
 
 
@@ -65,7 +67,7 @@ def prove(
                     print(f"    {alarm.kind}: {alarm.expression}")
                     print(f"        {alarm.line}" if alarm.line else "        no line is known", flush=True)
                 for box in (*result.inputs, *result.states, *result.parameters) if assumptions else ():
-                    print(f"    assumed: {box.name} in {box.low:g}..{box.high:g}, {box.reason}")
+                    print(f"    assumed: {box.name} {range_text(box.low, box.high)}, {box.reason}")
                 if parameters:
                     free = {box.name for box in result.parameters}
                     fixed = (v.name for v in traced.block.of_causality("parameter") if v.name not in free)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmus.errors import ExportError
+from fmus.errors import ExportError, range_text
 from fmus.files import write_bytes_atomically
 from fmus.generate.cache import BuildCache, BuildRequest
 from fmus.platforms import MICROCONTROLLERS, PLATFORMS, check_platforms
@@ -344,5 +344,6 @@ def _print_description(document: dict[str, Any]) -> None:
 def _permitted(values: dict[str, str]) -> str:
     """Returns the items of an enumeration, or the range."""
     if values.keys() <= {"min", "max"}:
-        return f"{values.get('min', '')}..{values.get('max', '')}" if values else ""
+        low, high = float(values.get("min", "-inf")), float(values.get("max", "inf"))
+        return range_text(low, high) if values else ""
     return ", ".join(f"{number} ({name})" for number, name in values.items())

@@ -73,12 +73,12 @@ def sweep(
 
     from orchestration.sweep import table  # Arrow is slow to import: after what can be refused
     from orchestration.sweep.run import sweep as run_samples
-    from orchestration.sweep.table import grid_tables, summary_table
 
     with shared.progress("sweep", planned.count, kept="samples") as bar:
         path = run_samples(planned, out, place, recorded, restart, bar.advance)
     results, provenance = table.read(path)
-    for printed in (summary_table(results, provenance), *grid_tables(results, provenance)):
+    print(f"{provenance['title']}: {len(results)} samples, {table.failed(results)} failed")
+    for printed in table.terminal_tables(results, provenance):
         shared.print_table(printed)
     print(path)
     if recordings:

@@ -266,7 +266,7 @@ def _check_pays(system: System, instances: int, steps: int, group_bytes: int, th
     best = instruction_sets()[0]
     compiled = [is_compiled(name, path, best) for name, path in system.components.items()]
     if steps < _STEPS_WORTH_COMPILING and not all(compiled):
-        raise EnsembleError(f"to compile the FMUs takes longer than {steps} steps save")
+        raise EnsembleError(f"compiling the FMUs takes longer than it saves in {steps} steps")
 
 
 def check_supported(prepared: PreparedRun) -> None:

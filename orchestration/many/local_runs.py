@@ -121,14 +121,14 @@ class LocalRuns(AbstractContextManager["LocalRuns"]):
             runner = Vectorised(job, True, self.device)
             self._in_process = (self._loaded.enter_context(runner),)
             return self._in_process
-        makers = "ensembles" if limits else "simulators"
+        how = "runs in ensembles" if limits else "runs one by one"
         if independent and not (job.timeout or self._isolate):
-            self._note(f"{self._workers} threads of {makers}{reason}")
+            self._note(f"{self._workers} threads, {how}{reason}")
             for _ in range(self._workers):
                 runner = Vectorised(job, bool(self._vectorise)) if limits else Simulated(job)
                 self._in_process = *self._in_process, self._loaded.enter_context(runner)
             return self._in_process
-        self._note(f"{self._workers} processes of {makers}{reason}")
+        self._note(f"{self._workers} processes, {how}{reason}")
         for isolated in self._isolated:
             isolated.use(job, bool(limits))
         self._isolated = self._isolated or [Isolated(job, None, bool(limits)) for _ in range(self._workers)]

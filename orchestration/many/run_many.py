@@ -52,6 +52,16 @@ def run_many(
     EnsembleError
         With "vectors" or "gpu", if these cannot make the runs; also the errors of `simulate` before a run,
         for the first experiment.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from orchestration import load_scenario
+    >>> scenario = load_scenario("nominal-extended")
+    >>> values = ({**scenario.experiment.parameters, "plant.inertia": kg} for kg in (5.0, 6.0))
+    >>> experiments = [replace(scenario.experiment, parameters=given) for given in values]
+    >>> [len(recording.time) for recording in run_many(scenario.system, experiments, workers=1)]
+    [15501, 15501]
     """
     reduce, all_experiments = reduce or recordings_of, list(experiments)
     if not all_experiments:

@@ -631,6 +631,14 @@ def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) ->
     ------
     ScenarioError
         For a metric that cannot be computed, or is infinite, in any of the runs.
+
+    Examples
+    --------
+    >>> time = np.array([0.0, 1.0, 2.0])
+    >>> recording = Recording(("plant.depth",), ("m",), time, np.array([[0.0], [0.9], [0.8]]))
+    >>> metrics = evaluate(recording, {"deepest": {"function": "maximum", "signal": "plant.depth"}})
+    >>> float(metrics["deepest"])
+    0.9
     """
     return {name: _one(recording, name, call) for name, call in declared.items()}
 

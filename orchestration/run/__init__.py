@@ -82,6 +82,14 @@ def simulate(
         Before the run starts, for a system or settings that do not fit.
     SimulationError
         For a run that ends early: its `recording` holds the values until then.
+
+    Examples
+    --------
+    >>> from orchestration import load_scenario
+    >>> scenario = load_scenario("nominal-extended")
+    >>> recording = simulate(scenario.system, scenario.experiment)
+    >>> recording["plant.depth"].shape
+    (15501,)
     """
     if not isinstance(system, System):
         raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")

@@ -115,6 +115,16 @@ class Simulator(LoadedSystem):
     ------
     FmuLoadError
         For a file that is no FMU.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from orchestration import load_scenario
+    >>> scenario = load_scenario("nominal-extended")
+    >>> experiments = [replace(scenario.experiment, stop_time=stop) for stop in (1.0, 2.0)]
+    >>> with Simulator(scenario.system) as simulator:
+    ...     [float(simulator.run(experiment).time[-1]) for experiment in experiments]
+    [1.0, 2.0]
     """
 
     _loop = staticmethod(compiled_loop)

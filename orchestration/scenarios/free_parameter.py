@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from fmus.errors import range_text
 from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import OrchestrationError
 from orchestration.system.system import Port
@@ -77,7 +78,8 @@ class FreeParameter:
         low, high = value_range(Port("", variable))
         if self.is_limited and not low <= self.low < self.high <= high:
             raise OrchestrationError(
-                f"{option} {self.name}={self.low:g}:{self.high:g}: expected limits within {low:g}..{high:g}"
+                f"{option} {self.name}={self.low:g}:{self.high:g}: "
+                f"expected limits within {range_text(low, high)}"
             )
         ends = (self.low, self.high) if self.is_limited else (low, high)
         return replace(self, low=ends[0], high=ends[1], unit=variable.unit or "")

@@ -169,9 +169,10 @@ In (b) and (c) a line is the mean over {_NOISE_WINDOW_S:g} s, the pale band the 
 
 **Why the thrust swings at first.** In the first {_SURFACE_END_S:g} s it is within
 {" and ".join(swings)}.
-The vehicle starts afloat at the surface. As it emerges, buoyancy falls in proportion, which acts as a spring.
-Spring and mass oscillate at about 1 Hz. Observer and thrusters delay the feedback and so keep this up.
-It is a limit cycle, not noise: with the true depth rate (scenarios that end in -ideal) it vanishes.
+The vehicle starts afloat at the surface. The part above water has no buoyancy. So buoyancy acts as a spring.
+Spring and mass oscillate at about 1 Hz. Observer and thrusters delay the feedback,
+which sustains the oscillation.
+It is a limit cycle, not noise: with the true depth rate it vanishes (scenarios whose names end in -ideal).
 It ends when the thrust holds the vehicle under water, where the spring is gone.
 """
 

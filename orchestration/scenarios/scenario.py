@@ -220,6 +220,12 @@ def load_scenario(
     ------
     ScenarioError
         For a mistake in a file or an argument; it names file and line.
+
+    Examples
+    --------
+    >>> scenario = load_scenario("nominal-extended", settings={"plant.inertia": 6.0})
+    >>> scenario.experiment.parameters["plant.inertia"]
+    6.0
     """
     path = find(str(scenario))
     layers = file_layers(path)

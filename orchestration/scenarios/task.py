@@ -94,6 +94,12 @@ def task_of(
     ------
     ScenarioError
         For an unknown component, a loaded scenario with a `plant`, or a reward that reads the component.
+
+    Examples
+    --------
+    >>> task = task_of("nominal-extended", reward={"rmse": -1.0})
+    >>> task.actions
+    ('plant.voltage[1]', 'plant.voltage[2]')
     """
     if isinstance(scenario, str):
         overrides = {"components": {"plant": {"names": dict(mapping)}}} if mapping else {}

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.errors import range_text
 from fmus.extras import imports_of
 from orchestration.errors import ScenarioError
 from orchestration.system.quantities import Conversion
@@ -197,7 +198,7 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
     """
     _ascending(low, high)
     if not low <= mode <= high:
-        raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")
+        raise ScenarioError(f"mode = {mode!r}: expected {range_text(low, high)}")
     share = (mode - low) / (high - low)
 
     def quantile(q: np.ndarray) -> np.ndarray:

@@ -99,6 +99,16 @@ def run_sweep(
     ------
     SweepError
         For a folder with another sweep of this name, or a second sweep at the same time.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from orchestration import load_scenario
+    >>> varied = {"samples": 2, "vary": {"plant.sensor_seed": {"distribution": "seed"}}}
+    >>> scenario = load_scenario("nominal-extended", {"sweep": varied})
+    >>> with TemporaryDirectory() as folder:
+    ...     print(run_sweep(scenario, Path(folder), workers=1).name)
+    nominal-extended.sweep.parquet
     """
     return sweep(
         plan_of(scenario),

@@ -192,12 +192,17 @@ def failed(results: pa.Table) -> int:
     return len(results) - results[ERROR].null_count
 
 
+def terminal_tables(results: pa.Table, provenance: dict[str, Any]) -> list["Table"]:
+    """Returns each metric over a grid of two numbers, else the summary: a grid is no sample of anything."""
+    return [*grid_tables(results, provenance)] or [summary_table(results, provenance)]
+
+
 def summary_table(results: pa.Table, provenance: dict[str, Any]) -> "Table":
     """Returns the summary as a table for a terminal."""
     from rich.markup import escape
     from rich.table import Table  # of the command alone: a worker does without it
 
-    printed = Table(title=escape(f"{provenance['title']}: {len(results)} samples, {failed(results)} failed"))
+    printed = Table()
     varied_names = names(results.schema, "varied")
     is_text = {name: not pa.types.is_floating(results[name].type) for name in varied_names}
     varied = {name: results[name].to_pylist() for name in varied_names if is_text[name]}

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, TypeAdapter
 
-from fmus.errors import nearest
+from fmus.errors import nearest, number_text, range_text
 from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError
@@ -240,7 +240,7 @@ def _drawn(
     law = distribution(name, arguments, (low, high), truncate)
     if law.reach[0] < low or law.reach[1] > high:
         raise ScenarioError(
-            f"it reaches {law.reach[0]:g}..{law.reach[1]:g}, permitted is {low:g}..{high:g}: "
+            f"it reaches {' to '.join(map(number_text, law.reach))}, permitted is {range_text(low, high)}: "
             "expected low and high within that, or truncate = true"
         )
 

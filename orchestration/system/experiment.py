@@ -60,6 +60,11 @@ class Event:
         Time [s]. If an FMU cannot step to it, its next communication point is taken.
     values : mapping
         "component.variable" -> value.
+
+    Examples
+    --------
+    >>> Event(60.0, {"plant.current_velocity": 0.1}).time
+    60.0
     """
 
     time: float
@@ -105,6 +110,13 @@ class Experiment:
     ------
     SystemDefinitionError
         For values that do not fit together.
+
+    Examples
+    --------
+    >>> off = Event(5.0, {"plant.external_force": 0.0})
+    >>> experiment = Experiment(10.0, 0.02, inputs={"plant.external_force": 0.5}, events=[off])
+    >>> experiment.step_count
+    500
     """
 
     stop_time: float

@@ -33,7 +33,7 @@ class Pattern(NamedTuple):
         return cls(source[:, np.newaxis], np.ones((len(source), 1)), addition)
 
     def after(self, earlier: "Pattern") -> "Pattern":
-        """This pattern of what another one has let arrive."""
+        """Returns this pattern applied to the samples that an earlier one gives."""
         is_sent = self.source >= 0
         source = np.where(is_sent[..., np.newaxis], earlier.source[self.source], -1)
         weight = self.weight[..., np.newaxis] * earlier.weight[self.source]

@@ -91,6 +91,13 @@ class System:
         For another form.
     ExportError
         For a class that is no policy.
+
+    Examples
+    --------
+    >>> fmus = {"controller": "pid.fmu", "plant": "vehicle.fmu"}
+    >>> system = System(fmus, [("controller.force", "plant.force"), ("plant.depth", "controller.depth")])
+    >>> system.connections[0]
+    ('controller.force', 'plant.force')
     """
 
     components: Mapping[str, Path]

@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from fmus.errors import range_text
 from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import INTEGER_RANGE, FmiValue
 from orchestration.errors import SystemDefinitionError
@@ -66,7 +67,7 @@ def _number(port: Port, value: FmiValue, place: str) -> float | int | bool:
     has_type = isinstance(value, expected) and (variable.type == "Boolean" or not isinstance(value, bool))
     low, high = value_range(port)
     if isinstance(value, str) and variable.type == "Real":
-        expected = f"a number in{_unit(port)}" if _unit(port) else "a number"
+        expected = "a number" if port.variable.unit in (None, "1") else f"a number in {port.variable.unit}"
     elif (named := _allowed_items(port)) and value not in named.values():
         expected = _permitted(port)
     elif isinstance(value, str) or not has_type:
@@ -96,17 +97,12 @@ def _allowed_items(port: Port) -> dict[str, int]:
     return {name: number for name, number in items(port).items() if low <= number <= high}
 
 
-def _unit(port: Port) -> str:
-    return f" {port.variable.unit}" if port.variable.unit not in (None, "1") else ""
-
-
 def _permitted(port: Port) -> str:
     """Returns which numbers a variable may have, in words."""
     low, high = value_range(port)
     if named := _allowed_items(port):
         return f"one of {', '.join(f'{item} ({number})' for item, number in named.items())}"
-    is_bounded = (low, high) != (-math.inf, math.inf)
-    return f"{low:g}..{high:g}{_unit(port)}" if is_bounded else "a finite number"
+    return range_text(low, high, port.variable.unit)
 
 
 def is_discrete(port: Port) -> bool:
@@ -124,7 +120,7 @@ def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
         return _permitted(port), is_within
     if named := _allowed_items(port):
         return _permitted(port), np.isin(values, [*named.values()])
-    integer = f"an integer, {low:g}..{high:g}, as the input has type {kind}"
+    integer = f"an integer, {range_text(low, high)}, as the input has type {kind}"
     return "true or false" if kind == "Boolean" else integer, is_within & (values == np.floor(values))
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from vehicle import BY_NAME, CHANGE, FREE, FREQUENCY, SEEDS, VALUES, Columns, Figure, half_a_digit
 
 _NAMES = {
@@ -149,7 +150,7 @@ _PANELS = (
 
 def write_points(sets: Mapping[str, Columns], path: Path) -> None:
     """Writes the figure of the points of some variants: what they predict, and what they are."""
-    figure, panels = plt.subplots(2, 2, figsize=(7.2, 5.2), layout="constrained")
+    figure, panels = plt.subplots(2, 2, figsize=(7.2, 6.4), layout="constrained")
     for letter, panel, (x, across, y, up) in zip("abcd", panels.flat, _PANELS, strict=True):
         for name, points in sets.items():
             # a thousand points, drawn as often as their density tells, some of them twice
@@ -158,9 +159,13 @@ def write_points(sets: Mapping[str, Columns], path: Path) -> None:
             panel.scatter(points[x][rows], points[y][rows], s=3.0, linewidths=0.0, alpha=0.5, label=name)
         scales = {f"{axis}scale": "log" for axis, name in (("x", x), ("y", y)) if name in BY_NAME}
         panel.set(xlabel=_axis(x), ylabel=_axis(y), xlim=across, ylim=up, **scales)
+        # labels of minor ticks of a decade or two overlap
+        panel.xaxis.set_minor_formatter(NullFormatter())
         panel.set_title(f"({letter})", loc="left", fontweight="bold")
         _mark_published(panel, x, y)
-    panels.flat[0].legend(loc="lower right", markerscale=2.0)
+    figure.legend(
+        *panels.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, markerscale=2.0
+    )
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -169,7 +174,7 @@ def _axis(name: str) -> str:
     if name in BY_NAME:
         return f"{name.rpartition('.')[2].replace('_', ' ')} [{BY_NAME[name].unit}]"
     scenario, _, metric = name.partition(" ")
-    return _label((scenario, metric))
+    return _label((scenario, metric)).replace(": ", ":\n")  # longer than a panel is high
 
 
 def _mark_published(panel: Any, x: str, y: str) -> None:

@@ -24,6 +24,8 @@ _TOKEN = re.compile(
     r"|(?P<sign><=|>=|\+-|\.\.+|[^ ]))"
 )
 _SPACE = '<mspace width=".2em"></mspace>'
+_WIDE_SPACE = 4 * _SPACE
+_MATH = '<math displaystyle="true">'
 
 
 def equations_table(text: str) -> str:
@@ -58,8 +60,10 @@ def mathematics(text: str) -> str:
     parts = []
     for is_text, items in groupby(_Reader(_tokens(text)).items(), key=lambda item: item[0]):
         content = [html for _, html in items]
-        parts += content if is_text else [f'<math displaystyle="true">{"".join(content)}</math>']
-    return re.sub(r" ([,;:.])", r"\1", " ".join(parts))
+        parts += content if is_text else [f"{_MATH}{''.join(content)}</math>"]
+    # browsers break lines between formulas alone
+    html = " ".join(parts).replace(f"{_WIDE_SPACE}</math>", "</math>&#8195;")
+    return re.sub(r" ([,;:.])", r"\1", html.replace(_WIDE_SPACE, f"</math>&#8195; {_MATH}"))
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class _Reader:
                 in_text = token.text in ",;:." and bool(items) and items[-1][0]
                 sign = escape(_SIGNS.get(token.text, token.text))
                 form = ' form="prefix"' if not items or items[-1][1].startswith(("<mo>", "<mo ")) else ""
-                space = _SPACE * 4 if token.text == "," and not closing else ""
+                space = _WIDE_SPACE if token.text == "," and not closing else ""
                 items.append((in_text, sign if in_text else f"<mo{form}>{sign}</mo>{space}"))
                 factors = 0
             else:

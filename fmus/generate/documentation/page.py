@@ -10,7 +10,7 @@ from string import Template
 from fmus.block import Block
 from fmus.block.guide import Source
 from fmus.block.variables import BlockVariable
-from fmus.errors import ExportError
+from fmus.errors import ExportError, number_text
 from fmus.generate.documentation.mathml import equations_table
 from fmus.generate.documentation.wiring import Connection, connections, declared_variables, diagram
 from fmus.native.toolchain import COMPILER, FMI_HEADERS
@@ -42,7 +42,7 @@ _ARRAYS = {
 }
 _EXCHANGE = "<tr><td>Model exchange</td><td>{}</td></tr>"
 _BUILDING = """<li>For another platform compile sources/{file} with the importer's headers of FMI {fmi}.0;
-FMI{fmi}_OVERRIDE_FUNCTION_PREFIX gives functions the names of a shared library:
+FMI{fmi}_OVERRIDE_FUNCTION_PREFIX makes them export the names of FMI:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
 _HEADINGS = ("Name", "Meaning", "Unit or type", "Start", "Permitted", "Variability", "Source")
@@ -69,8 +69,8 @@ def documentation(
         "name": escape(block.name),
         "description": escape(block.description),
         "release": escape(version("l1-depth")),
-        "stop_time": block.stop_time,
-        "step_size": block.step_size,
+        "stop_time": number_text(block.stop_time),
+        "step_size": number_text(block.step_size),
         "diagram": diagram(block, connected),
         "wiring": _wiring(block, connected),
         "parameters": _parameters(block, reals_only),
@@ -78,8 +78,8 @@ def documentation(
         "guide": _guide(block),
         "arrays": _ARRAYS[2 if scalars else fmi],
         "building": _BUILDING.format(file=compiled, name=block.name, fmi=fmi) if compiled else "",
-        "reference_stop_time": experiment.stop_time or block.stop_time,
-        "reference_step_size": experiment.step_size or block.step_size,
+        "reference_stop_time": number_text(experiment.stop_time or block.stop_time),
+        "reference_step_size": number_text(experiment.step_size or block.step_size),
         "stimuli": _stimuli(block),
         "sources": _list(map(_source, block.guide.sources)),
     }
@@ -165,14 +165,16 @@ def _texts(v: BlockVariable, reals_only: bool) -> tuple[str, ...]:
     kind = "whole number" if reals_only else v.type.lower()
     unit = kind if v.unit is None else v.unit
     number = str(v.start).lower() if isinstance(v.start, bool) else f"{v.cast(v.start).real:.12g}"
-    start, permitted = (number, v.expected.removesuffix(f" {v.unit}")) if v.settable else ("", "")
+    # the table has a column for the unit; a unit "1" is not in the text
+    expected = v.expected if unit == "1" else v.expected.removesuffix(f" {unit}").removesuffix(" in")
+    start, permitted = (number, expected) if v.settable else ("", "")
     return v.description, unit, start, permitted, v.variability, v.source
 
 
 def _stimuli(block: Block) -> str:
     """Returns the table of the inputs that move during the reference experiment."""
     rows = [
-        (name, ", ".join(f"{value} at {time} s" for time, value in points))
+        (name, ", ".join(f"{number_text(value)} at {number_text(time)} s" for time, value in points))
         for name, points in block.guide.experiment.stimuli
     ]
     headings = ("Input", "Lines between the points")

@@ -160,7 +160,7 @@ function signalsSection() {
     fillLegend(made.legend, styled);
     const shown = styled.filter((line) => !line.hidden).sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
     chart(made.plot, shown, {
-      y: page.axes[unit] ?? unit, range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
+      y: page.axes[unit] ?? unit.replace("error", "Error"), range, yRange: made.y, down: found.some((line) => line.down), // depth increases downwards
       legend: made.legend, zoomed: (x, y) => zoomed(made, x, y),
     });
   }

@@ -37,7 +37,7 @@ function scatter(place, points, { x, y, log = false, names = [], line = [], reac
       scales: { x: scale(names[0]), y: scale(names[1]) },
       axes: [{ ...(log ? { filter: someDigits } : {}), ...across(names[0]) }, names[1] ? { splits: () => names[1].map((_, i) => i), values: () => names[1], size: 110 } : log ? { filter: someDigits } : {}],
       cursor: { points: { show: false }, sync: null },
-      hooks: { draw: [(u, taken = []) => drawn.forEach((point) => mark(u, point, taken))], setCursor: [point] },
+      hooks: { draw: [(u, taken = drawn.some(({ label }) => label) ? drawn.map((point) => room(u, point)) : []) => drawn.forEach((point) => mark(u, point, taken))], setCursor: [point] },
     },
   });
   made.over.append(tip);
@@ -74,7 +74,10 @@ function heat(share) {
   return [`hsl(210 ${Number.isFinite(share) ? 65 : 0}% ${lightness}%)`, lightness > 55 ? "#000000" : "#ffffff"];
 }
 
-/** Draws a point, and its label above it, or below it where labels in `taken` are in the way. */
+/** The room of a point that no label takes; `at` is the base line of a text that would hide it. */
+const room = (u, { x, y, size = 4 }) => ({ middle: u.valToPos(x, "x", true), half: size * devicePixelRatio, at: u.valToPos(y, "y", true) + (size + 1) * devicePixelRatio });
+
+/** Draws a point, and its label above it, or below it where points or labels in `taken` are in the way. */
 function mark(u, { x, y, color, share, mark = "circle", size = 4, strong = false, label = "" }, taken) {
   const [across, down, r] = [u.valToPos(x, "x", true), u.valToPos(y, "y", true), size * devicePixelRatio];
   const path = new Path2D();

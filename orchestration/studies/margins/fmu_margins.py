@@ -93,7 +93,7 @@ GAINS = Grid(Scale, largest=10.0, step=1.1, resolution=1.01)
 class Scan:
     """A scan of the values of a grid, and its measurements.
 
-    margin: the last quiet value before the first loss; not a number if the scenario is not quiet as it is
+    margin: the last quiet value before the first loss; not a number if the unchanged scenario is not quiet
     lost: the first value that is not quiet; infinite if all are; at most the resolution beyond the margin
     quiet_again: intervals beyond it, from the first to the last quiet value on the grid
     runs: how many it took

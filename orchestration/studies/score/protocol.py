@@ -108,7 +108,8 @@ class Protocol:
         told = f" Controllers know that its actuators give {force:g} N." if math.isfinite(force) else ""
         inertia = vehicle.values().heave[0]
         beside = (
-            f"the tuned gains beside are for {ours}, carried to its inertia of {inertia:.3g} kg"
+            f"the gains beside are tuned for {ours} and scaled to the inertia of this vehicle, "
+            f"{inertia:.3g} kg"
             if inertia
             else f"the tuned controllers of {ours} are left out: inertia under [variables] in "
             f"{vehicle.file.path.name} would scale their gains"

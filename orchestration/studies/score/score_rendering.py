@@ -19,8 +19,8 @@ from orchestration.studies.score.score_tables import Cell, all_tables, overview
 
 _BEST, _FAILED = "*", "!"
 _MARKS = (
-    f"{_BEST} the best of a column, {_FAILED} a run that failed, - nothing to measure, such as the delay "
-    "margin of a loop that is not quiet as it is"
+    f"{_BEST} the best of a column, {_FAILED} a run that failed, - no value, such as the delay margin "
+    "of a loop that is not quiet without a delay"
 )
 _MOST_LINES = 40  # of a terminal
 _MOST_ROWS = 20  # of its table, the scored controllers first

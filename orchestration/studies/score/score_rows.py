@@ -235,7 +235,7 @@ def delay_margin_of(
 ) -> float:
     """Returns how much later [s] the measured depth may be while the case holds its target quietly.
 
-    Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
+    The first loss on a scan, up to its end. Not a number if the loop is not quiet without a delay.
     gains: variable of the controller -> value; largest: delay [s] of the scan
     """
     experiment = with_values(loop.experiment(case), {f"{OWN}{name}": x for name, x in gains.items()})

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from fmus.errors import number_text
 from orchestration.results.statistics import profile, ratios_to_best
 from orchestration.studies.score.protocol_format import COMPARED
 from orchestration.studies.score.score_document import OF_A_ROW, CaseResult, MetricInfo, Row, Score
@@ -37,7 +38,8 @@ class Cell:
 
     @property
     def text(self) -> str:
-        return format(self.value, ".3g") if math.isfinite(self.value) else "-"
+        # by way of three digits: 1020, not 1.02e+03
+        return number_text(float(f"{self.value:.3g}")) if math.isfinite(self.value) else "-"
 
 
 class Column(MetricInfo):

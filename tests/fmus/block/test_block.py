@@ -71,10 +71,10 @@ def test_the_class_decides_causality_and_the_type_decides_variability() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("internal_step", 2.0, "internal_step = 2.0: expected 0.001..1.0 s"),
+        ("internal_step", 2.0, "internal_step = 2.0: expected 0.001 to 1 s"),
         ("internal_step", float("nan"), "internal_step = nan: expected a finite number"),
         ("mode", 3, "mode = 3: expected one of 1 (slow), 2 (fast)"),
-        ("count", -1, "count = -1: expected 0..3"),
+        ("count", -1, "count = -1: expected 0 to 3"),
     ],
 )
 def test_a_refused_value_is_named_with_what_was_expected(name: str, value: Any, message: str) -> None:

@@ -141,7 +141,7 @@ def test_the_numbers_of_a_class_are_its_parameters_which_its_init_finds() -> Non
     instance.do_step(0.0, 0.1)
     assert value(instance) == 20.0
     assert instance._policy.period == 0.5
-    with pytest.raises(BlockError, match=r"kp = -1.0: expected 0.0"):
+    with pytest.raises(BlockError, match=r"kp = -1.0: expected at least 0 N/m"):
         begun(Declared, kp=-1.0)
 
 
@@ -215,7 +215,7 @@ OWN = """class Own:
         ("return 3.0", r"returned 3.0: expected \{'control_force': number\}"),
         ('return {"controlforce": 1.0}', "'controlforce', which is no output; nearest is"),
         ("return {}", "returned no 'control_force': expected all outputs"),
-        ('return {"control_force": float("nan")}', "control_force = nan: expected a finite number N"),
+        ('return {"control_force": float("nan")}', "control_force = nan: expected a finite number in N"),
         ('return {"control_force": "3"}', "control_force = '3': expected"),
         ('return {"control_force": [3.0]}', r"control_force = \[3.0\]: expected"),
     ],

@@ -161,9 +161,16 @@ def test_what_is_no_baseline_is_refused(text: str, tmp_path: Path) -> None:
 def test_many_findings_of_one_rule_about_one_fmu_are_one_with_their_count() -> None:
     many = [finding(f"file {i}", SECOND) for i in range(70)]
     one, counted = finding("file 1"), finding("x is 3 (and 77 more like it)", FIRST, fmu="b.fmu")
-    alike = finding("y is 3 (and 1 more like it)", FIRST, fmu="b.fmu")
-    assert findings.folded([*many, one]) == [(many[0], 69), (one, 0)]
-    assert findings.folded([counted, alike]) == [(replace(counted, message="x is 3"), 79)]
+    alike = finding("y is 3 (and also: y is 4)", FIRST, fmu="b.fmu")
+    assert findings.folded([*many, one]) == [replace(many[0], message="file 0 (and 69 more like it)"), one]
+    assert findings.folded([counted, alike]) == [replace(counted, message="x is 3 (and 79 more like it)")]
+
+
+def test_one_finding_is_never_hidden_behind_a_count() -> None:
+    one, other = finding("file 1", FIRST), finding("file 2 (of it)", FIRST)
+    (both,) = findings.folded([one, other])
+    assert both.message == "file 1 (and also: file 2 (of it))"
+    assert findings.folded([both]) == [both]
 
 
 LINES = {"depth": 12, "a[1,2]": 13, "my name": 14, "the": 15}
@@ -190,7 +197,7 @@ def test_the_line_is_that_of_the_element_that_a_message_names(message: str, line
     [
         # of one variable the first value counts
         (["x is 3 after a step: expected 2", "x is 4 after the end: expected 2"],
-         ["x is 3 after a step: expected 2 (and 1 more like it)"]),
+         ["x is 3 after a step: expected 2 (and also: x is 4 after the end: expected 2)"]),
         (["x[1] is 3: expected 2", "x[2] is 3: expected 2", "x2 is 3: expected 2", "x3 is 3: expected 2"],
          ["x[1] is 3: expected 2", "x[2] is 3: expected 2", "x2 is 3: expected 2", "x3 is 3: expected 2"]),
         # numbers and where a run begins do not tell causes apart
@@ -198,14 +205,14 @@ def test_the_line_is_that_of_the_element_that_a_message_names(message: str, line
           "from bytes, after fmi2Reset late in a run: a step fails", "after a reset: a step fails"],
          ["from bytes: a step fails (and 2 more like it)", "after a reset: a step fails"]),
         (["state 1 changes at 0.3 s", "y changes at 0.3 s", "state 2 changes at 1e-3 s"],
-         ["state 1 changes at 0.3 s (and 1 more like it)", "y changes at 0.3 s"]),
+         ["state 1 changes at 0.3 s (and also: state 2 changes at 1e-3 s)", "y changes at 0.3 s"]),
     ],
 )  # fmt: skip
 def test_messages_of_one_cause_are_one_with_their_count(messages: list[str], expected: list[str]) -> None:
     assert list(findings.counted(messages)) == expected
 
 
-@pytest.mark.parametrize("count", ["", " (and 1 more like it)", " (and 20 more like it)"])
+@pytest.mark.parametrize("count", ["", " (and also: x is 5)", " (and 20 more like it)"])
 def test_a_finding_of_a_baseline_may_be_counted_otherwise(count: str) -> None:
     known = {findings.key_of(finding("x is 3 (and 2 more like it)")): 1}
     assert accepted(findings.without_known([finding(f"x is 4{count}")], known)) == [IN_BASELINE]

@@ -150,10 +150,10 @@ def test_a_forged_number_that_is_not_finite_is_refused(
     ("index", "number", "reason"),
     [
         (0, math.inf, "x = inf: expected a finite number"),
-        (1, 0.5, "steps = 0.5: expected -2147483648..inf"),
-        (1, -(2.0**31) - 1, "steps = -2147483649: expected -2147483648..inf"),
+        (1, 0.5, "steps = 0.5: expected at least -2147483648"),
+        (1, -(2.0**31) - 1, "steps = -2147483649: expected at least -2147483648"),
         (1, 2.0**40, None),
-        (2, 1.0000000000000002, "side = 1.0000000000000002: expected -1.0..1.0"),
+        (2, 1.0000000000000002, "side = 1.0000000000000002: expected -1 to 1"),
         (2, -1.0, None),
     ],
 )

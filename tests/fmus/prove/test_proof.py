@@ -256,3 +256,6 @@ def test_the_result_is_a_page_inside_the_fmu_with_the_command_that_repeats_it(
         assert f'fmiVersion="{fmi}.0"' in fmu.read("modelDescription.xml").decode()
     assert "<code>l1-depth prove ExamplePlant</code>" in page
     assert "<td>ESBMC</td><td>0 of " in page
+    # as documentation/index.html has
+    assert 'name="viewport"' in page
+    assert "color-scheme: light dark" in page

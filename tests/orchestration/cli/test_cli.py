@@ -60,7 +60,7 @@ def test_a_failure_is_one_line_and_exit_status_1(
 
 def test_a_value_out_of_range_is_refused_before_the_run(refused: Command, short_scenario: Command) -> None:
     path = short_scenario(more='\n[parameters]\n"plant.inertia" = -1.0\n')
-    assert "short.toml:26: plant.inertia = -1.0: expected 0.1..1e+06 kg" in refused("run", path)
+    assert "short.toml:26: plant.inertia = -1.0: expected 0.1 to 1e6 kg" in refused("run", path)
 
 
 def test_a_very_long_number_is_told_in_short(refused: Command, short_scenario: Command) -> None:

@@ -330,7 +330,7 @@ def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, An
 @pytest.mark.parametrize(
     ("vary", "problem"),
     [
-        ({"plant.inertia": [5.0, -1.0]}, "plant.inertia = -1.0: expected 0.1..1e"),
+        ({"plant.inertia": [5.0, -1.0]}, "plant.inertia = -1.0: expected 0.1 to 1e"),
         ({"controller.augmentation": ["none", 7]}, "controller.augmentation = 7: expected one of none (1), "),
         ({"plant.inerta": [5.0]}, "nearest is 'plant.inertia'"),
         ({"plant.voltage[1]": [1.0]}, "plant.voltage[1]: expected a parameter"),

@@ -303,6 +303,16 @@ def test_settling_times_and_rmses_of_both_runs_follow_the_sliders(open_live: Ope
     assert metrics_shown(open_live(short))["settling_time"] == ["not settled"]
 
 
+def test_on_paper_the_metrics_and_the_values_of_the_sliders_stand_without_the_sliders(
+    open_live: Open,
+) -> None:
+    page = open_live(loaded("nominal-extended"))
+    page.emulate(media="print")
+    assert page.one(".controls td").is_displayed()
+    assert page.one(".slider output").is_displayed()
+    assert not any(one.is_displayed() for one in page.all(".controls input, .controls button"))
+
+
 def test_a_slider_shows_from_when_on_an_event_sets_its_variable(open_live: Open) -> None:
     page = open_live(with_experiment(loaded("nominal-extended"), stop_time=15.0, events=EVENTS))
     (note,) = page.all(".slider small")

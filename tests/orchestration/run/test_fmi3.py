@@ -172,10 +172,10 @@ def test_an_array_follows_a_signal_and_a_change_of_one_scalar(everything: System
 @pytest.mark.parametrize(
     ("inputs", "message"),
     [
-        ({"m.u8_in": 300}, "m.u8_in = 300: expected 0..255"),
-        ({"m.i8_in": -129}, "m.i8_in = -129: expected -128..127"),
-        ({"m.u64_in": -1}, r"m.u64_in = -1: expected 0..2.14748e\+09"),
-        ({"m.i64_in": 2**31}, r"m.i64_in = 2147483648: expected -2.14748e\+09..2.14748e\+09"),
+        ({"m.u8_in": 300}, "m.u8_in = 300: expected 0 to 255"),
+        ({"m.i8_in": -129}, "m.i8_in = -129: expected -128 to 127"),
+        ({"m.u64_in": -1}, r"m.u64_in = -1: expected 0 to 2147483647"),
+        ({"m.i64_in": 2**31}, r"m.i64_in = 2147483648: expected -2147483648 to 2147483647"),
         ({"m.i16_in[1]": 1.5}, r"m.i16_in\[1\] = 1.5: expected a value of type Integer"),
         ({"m.flag_in[1]": 1}, r"m.flag_in\[1\] = 1: expected a value of type Boolean"),
         ({"m.misdeed_in": "hung"}, r"m.misdeed_in = 'hung': expected one of none \(1\), .*hang"),

@@ -143,7 +143,7 @@ def test_an_fmu_of_python_without_a_binary_names_the_flavour_that_has_one(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"parameters": {"p.internal_step": -1.0}}, r"p.internal_step = -1.0: expected 1e-07..10 s"),
+        ({"parameters": {"p.internal_step": -1.0}}, r"p.internal_step = -1.0: expected 1e-7 to 10 s"),
         ({"parameters": {"p.theta[1]": math.nan}}, r"p.theta\[1\] = nan: expected a finite number"),
         ({"parameters": {"p.omega": "much"}}, "p.omega = 'much': expected a number"),
         ({"parameters": {"p.omga": 1.0}}, "no variable 'p.omga'; nearest is 'p.omega'"),

@@ -205,12 +205,12 @@ def test_a_table_that_does_not_overlap_the_run_is_a_warning(tmp_path: Path, time
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ('file = "d.csv"', r"typed.toml:\d+: .*d.csv:3: -2000: expected -1000..1000$"),
+        ('file = "d.csv"', r"typed.toml:\d+: .*d.csv:3: -2000: expected -1000 to 1000$"),
         (
             "times = [0, 1]\nvalues = [1, -2000]",
-            r"typed.toml:\d+: .*values\[1\]: -2000: expected -1000..1000$",
+            r"typed.toml:\d+: .*values\[1\]: -2000: expected -1000 to 1000$",
         ),
-        ("times = [0, 1]\nvalues = [1, 1000.0001]", r"values\[1\]: 1000.0001: expected -1000..1000$"),
+        ("times = [0, 1]\nvalues = [1, 1000.0001]", r"values\[1\]: 1000.0001: expected -1000 to 1000$"),
     ],
 )
 def test_a_number_out_of_the_range_of_the_input_is_named_with_its_line(

@@ -96,7 +96,9 @@ def test_the_tuned_controllers_are_left_out_where_no_inertia_scales_their_gains(
     assert score.run_count(1, protocol, full=False) == (1 + len(names)) * len(protocol.cases)
     left_out = "left out: inertia under [variables] in boat.vehicle.toml would scale their gains."
     assert (left_out in document.protocol.statement) == (not described_by)
-    assert ("carried to its inertia of 12 kg" in document.protocol.statement) == bool(described_by)
+    assert ("scaled to the inertia of this vehicle, 12 kg" in document.protocol.statement) == bool(
+        described_by
+    )
     if not described_by:
         with pytest.raises(
             ScenarioError, match=r"boat: its inertia is not known: expected inertia in \[varia"

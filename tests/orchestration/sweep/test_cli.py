@@ -47,8 +47,8 @@ def test_it_writes_a_table_and_prints_a_summary(
     done = command("sweep", sweep_file(), "--workers", 1, "--recordings", "r.y")
     out = done.stdout
     assert "mine: 12 samples, 0 failed" in out
-    assert "simulators" not in out  # what ran the samples is no result
-    assert "l1-depth: 1 processes of simulators: " in done.stderr
+    assert "one by one" not in out  # what ran the samples is no result
+    assert "l1-depth: 1 processes, runs one by one: " in done.stderr
     assert "results/mine.sweep.parquet" in out
     assert len(list((tmp_path / "results" / "mine.recordings").glob("sample-*.parquet"))) == 12
     assert set(tmp_path.iterdir()) == before | {tmp_path / "results", tmp_path / "tmp"}

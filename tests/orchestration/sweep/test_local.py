@@ -286,7 +286,7 @@ def varying(name: str, low: float, high: float) -> str:
         (VEHICLE.replace("stop_time", "tolerance = 1e-4\nstop_time"), "tolerance: an Ensemble does not"),
         (VEHICLE.replace(f"= {COUNT}", "= 7"), "7 runs are less than the 8 that step at once"),
         (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), "8 runs at once record"),
-        (VEHICLE, "takes longer than 6000 steps save"),
+        (VEHICLE, "compiling the FMUs takes longer than it saves in 6000 steps"),
     ],
 )
 def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
@@ -306,7 +306,7 @@ def test_threads_share_the_memory_of_recordings(tmp_path: Path) -> None:
 def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> None:
     """A foreign FMU in a process; an ensemble that is asked for is refused."""
     reason = "r is no native FMU that l1-depth build wrote for this user"
-    assert note_of(planned(), 1) == f"1 processes of simulators: {reason}"
+    assert note_of(planned(), 1) == f"1 processes, runs one by one: {reason}"
     with pytest.raises(EnsembleError, match=reason):
         sweep(planned(), tmp_path, LocalRuns(1, vectorise=True), restart=True)
 
@@ -328,7 +328,7 @@ def test_ensembles_give_the_same_table(
     batches: list[int] = []
     notes: list[str] = []
     path = sweep(vehicle, tmp_path / "together", LocalRuns(2, note=notes.append), progress=batches.append)
-    assert notes == ["2 threads of ensembles"]
+    assert notes == ["2 threads, runs in ensembles"]
     assert sorted(batches) == [0, 6, 8, 8, 8]  # groups, until the last
     errors = table.read(path)[0]["error"].to_pylist()
     assert set(errors) == {None, "metric first: positive"}

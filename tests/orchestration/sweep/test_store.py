@@ -269,7 +269,7 @@ def test_a_grid_of_two_numbers_has_a_table_of_each_metric(planned: Make, tmp_pat
     opened.add([row(made, 5, "the rudder is stuck")])
     opened.finish()
     rows, about = table.read(opened.path)
-    mean, effort = table.grid_tables(rows, about)
+    mean, effort = table.terminal_tables(rows, about)
     assert "mean" in str(mean.title)
     assert "across: experiment.stop_time" in str(mean.title)
     u, *columns = mean.columns
@@ -293,6 +293,7 @@ def test_other_sweeps_have_no_table_of_a_grid(planned: Make, tmp_path: Path, val
     opened = begun(made, tmp_path, range(made.count))
     opened.finish()
     assert not [*table.grid_tables(*table.read(opened.path))]
+    assert len(table.terminal_tables(*table.read(opened.path))) == 1
 
 
 def test_another_file_is_no_table_of_a_sweep(tmp_path: Path, planned: Make) -> None:

@@ -82,7 +82,7 @@ def test_a_range_and_unit_that_only_the_declared_type_states_count(foreign: Fmus
         ("<LogCategories>", types + "<LogCategories>"),
         ('<Real start="0"', '<Real declaredType="T" start="0"'),
     )  # fmt: skip
-    with pytest.raises(SystemDefinitionError, match=r"lag.u = 7.0: expected -inf..5 K"):
+    with pytest.raises(SystemDefinitionError, match=r"lag.u = 7.0: expected at most 5 K"):
         simulate(System({"lag": typed}), Experiment(1.0, 0.1, inputs={"lag.u": 7.0}))
 
 
@@ -98,7 +98,7 @@ def test_an_fmu_without_units_connects_to_one_with(foreign: Fmus, built: Fmus) -
     ("settings", "message"),
     [
         ({"step_sizes": {"t": math.inf}}, "step size of t, inf s: expected a multiple"),
-        ({"inputs": {"t.a": 2**40, "t.b": False}}, r"1099511627776: expected -2.14748e\+09..2.14748e\+09"),
+        ({"inputs": {"t.a": 2**40, "t.b": False}}, r"1099511627776: expected -2147483648 to 2147483647"),
     ],
 )
 def test_what_no_fmu_can_take_is_refused_before_the_run(

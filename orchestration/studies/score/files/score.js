@@ -45,8 +45,8 @@ async function drawTracking() {
     panels.force.push({ ...line, y: u });
   }
   panels.depth.push({ label: "reference", x: time, y: depth, color: "#888888", width: 1 });
-  chart(find("depth"), panels.depth, { y: "depth [m]", down: true });
-  chart(find("error"), panels.error, { y: "error [cm]", legend: find("lines") });
+  chart(find("depth"), panels.depth, { y: "Depth [m]", down: true });
+  chart(find("error"), panels.error, { y: "Error [cm]", legend: find("lines") });
   chart(find("force"), panels.force, { y: "u [N]" });
 }
 
@@ -70,7 +70,7 @@ async function drawPareto() {
     color: Number.isFinite(row.delay_margin) ? `hsl(${240 - 220 * ((row.delay_margin - least) / (largest - least || 1))} 70% ${dark() ? 65 : 42}%)` : "#888888",
   }));
   const line = best.map((row) => ({ x: value(row, "rmse"), y: value(row, "total_variation") }));
-  scatter(find("pareto"), points, { x: "RMSE [cm]", y: "total variation of u [N]", log: true, line });
+  scatter(find("pareto"), points, { x: "RMSE [cm]", y: "Total variation of u [N]", log: true, line });
   find("margins").textContent = margins.length ? `blue ${least.toPrecision(3)} s to orange ${largest.toPrecision(3)} s` : "not judged";
 }
 

@@ -12,6 +12,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
 from fmus.block import Block
 from fmus.block.guide import NO_GUIDE, Guide, Source
+from fmus.errors import number_text
 from fmus.generate import builder
 from fmus.generate.documentation.page import documentation
 from fmus.generate.documentation.wiring import declared_variables
@@ -59,8 +60,8 @@ def test_every_variable_stands_in_a_table_with_unit_range_and_source(name: str) 
         }
         assert {bool(start), bool(permitted)} == {v.settable for v in scalars}
         for v in scalars:
-            assert not v.settable or str(v.minimum or "") in permitted
-            assert not v.settable or str(v.maximum or "") in permitted
+            limits = [limit for limit in (v.minimum, v.maximum) if limit is not None]
+            assert not v.settable or v.enumeration or all(number_text(x) in permitted for x in limits)
 
 
 def test_the_start_value_of_each_type_can_be_read_back() -> None:

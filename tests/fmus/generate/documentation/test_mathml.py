@@ -37,6 +37,14 @@ def test_a_form_of_the_guides_becomes_mathml(source: str, expected: str) -> None
     assert plain(mathematics(source)) == expected
 
 
+def test_a_line_may_break_between_two_formulas() -> None:
+    """Browsers break no line within a formula, and a phone has room for one."""
+    html = mathematics("x = 1, y = 2, else z")
+    assert html.count("<math ") == 3
+    assert html.startswith(mathematics("x = 1,"))
+    assert mathematics("f(a, b)").count("<math ") == 1
+
+
 def test_an_estimate_has_its_accent_index_and_prime() -> None:
     accent = '<mover accent="true"><mi>θ</mi><mo>^</mo></mover>'
     prime = '<mo lspace="0" rspace="0">\u2032</mo>'

@@ -143,7 +143,7 @@ def test_a_parameter_has_its_name_or_that_of_the_description(
         ("depth", "expected a parameter of type Real, got output of type Real; known"),
         ("free_surface", "expected a parameter of type Real, got parameter of type Boolean"),
         ("inertia=1", "--free inertia=1: expected NAME or NAME=LOW:HIGH"),
-        ("inertia=0:3", r"--free inertia=0:3: expected limits within 0.1..1e\+06"),
+        ("inertia=0:3", r"--free inertia=0:3: expected limits within 0.1 to 1e6"),
         ("inertia,inertia=1:3", "--free inertia: given twice"),
         ("", "nothing to fit: expected --free NAME,NAME"),
     ],

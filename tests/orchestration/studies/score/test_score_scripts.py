@@ -37,7 +37,7 @@ CASE = {"case": {"value": "c"}, "plant-metric": None}
 
 def test_the_error_of_a_score_is_the_depth_less_its_reference_in_cm() -> None:
     drawn = (
-        'charts.filter(({ options }) => options.axes[1].label === "error [cm]")[0].data.map(([x, y]) => y)'
+        'charts.filter(({ options }) => options.axes[1].label === "Error [cm]")[0].data.map(([x, y]) => y)'
     )
     errors = evaluated(drawn, *SCRIPTS, page=SCORE, ids=CASE)
     assert [pytest.approx(error) for error in ([50.0, -30.0], [0.0, 0.0])] == errors
