@@ -14,69 +14,20 @@ from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.system.system import LinearTransformation
 from tests.described_fmus import described
 from tests.orchestration.exchange.conftest import refusal
-
-BASE = "http://ssp-standard.org/SSP1/SystemStructure"
-SPACES = " ".join(
-    f'xmlns:{prefix}="{BASE}{name}"'
-    for prefix, name in (
-        ("ssd", "Description"),
-        ("ssc", "Common"),
-        ("ssv", "ParameterValues"),
-        ("ssm", "ParameterMapping"),
-    )
+from tests.orchestration.exchange.structures import (
+    SPACES,
+    binding,
+    bindings,
+    component,
+    connection,
+    connectors,
+    mapping,
+    real,
+    system,
 )
+
 UNITS = '<ssc:Unit name="m"><ssc:BaseUnit m="1"/></ssc:Unit>'
 UNITS += '<ssc:Unit name="cm"><ssc:BaseUnit m="1" factor="0.01"/></ssc:Unit>'
-
-
-def connectors(**kinds: str) -> str:
-    """Connectors by their names; "output cm" has a unit."""
-    own = ((name, *kind.split(), "") for name, kind in kinds.items())
-    texts = (
-        f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Real{unit and f" unit={unit!r}"}/></ssd:Connector>'
-        for name, kind, unit, *_ in own
-    )
-    return f"<ssd:Connectors>{''.join(texts)}</ssd:Connectors>"
-
-
-def component(name: str, inside: str = "", source: str = "f.fmu") -> str:
-    own = connectors(u="input", y="output", k="parameter")
-    return f'<ssd:Component name="{name}" source="{source}">{own}{inside}</ssd:Component>'
-
-
-def system(name: str, elements: str, connections: str = "", before: str = "") -> str:
-    inside = f"<ssd:Elements>{elements}</ssd:Elements><ssd:Connections>{connections}</ssd:Connections>"
-    return f'<ssd:System name="{name}">{before}{inside}</ssd:System>'
-
-
-def connection(start: str, end: str, attributes: str = "", inside: str = "") -> str:
-    """Between "element.connector"s; of the system itself where no dot is."""
-    ends = (
-        f'{side}Element="{name.rpartition(".")[0]}" {side}Connector="{name.rpartition(".")[2]}"'
-        for side, name in (("start", start), ("end", end))
-    )
-    return f"<ssd:Connection {' '.join(ends)} {attributes}>{inside}</ssd:Connection>"
-
-
-def bindings(*sets: str) -> str:
-    return f"<ssd:ParameterBindings>{''.join(sets)}</ssd:ParameterBindings>"
-
-
-def binding(name: str, value: str, prefix: str = "", mapping: str = "") -> str:
-    own = f'<ssv:Parameter name="{name}">{value if "<" in value else real(value)}</ssv:Parameter>'
-    values = f'<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{own}</ssv:Parameters>'
-    values = f"<ssd:ParameterValues>{values}</ssv:ParameterSet></ssd:ParameterValues>"
-    return f'<ssd:ParameterBinding prefix="{prefix}">{values}{mapping}</ssd:ParameterBinding>'
-
-
-def real(value: str, unit: str = "") -> str:
-    return f'<ssv:Real value="{value}"{unit and f" unit={unit!r}"}/>'
-
-
-def mapping(source: str, target: str, inside: str = "", attributes: str = "") -> str:
-    entry = f'<ssm:MappingEntry source="{source}" target="{target}" {attributes}>{inside}</ssm:MappingEntry>'
-    inside = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
-    return f"<ssd:ParameterMapping>{inside}</ssd:ParameterMapping>"
 
 
 def package(folder: Path, root: str, kind: str = "") -> Path:
