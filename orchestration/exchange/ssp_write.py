@@ -133,7 +133,7 @@ def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str
 def _resource_paths(component: str, fmu: Path) -> Iterator[str]:
     """Yields the paths that the FMU of a component may have, the preferred one first; endless.
 
-    They are URIs (RFC 3986) without escapes, which not every importer decodes.
+    They are URIs (RFC 3986) without escapes, which of the importers libcosim alone decodes.
     """
     numbered = (f"{component}_{number}.fmu" for number in itertools.count(2))
     names = itertools.chain((fmu.name, f"{component}.fmu"), numbered)
