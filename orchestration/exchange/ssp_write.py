@@ -30,7 +30,7 @@ from orchestration.exchange.limits import (
     BuildSource,
     RampSource,
     check_plain_exchange,
-    check_standard,
+    check_scalars,
     ramp_sources,
     with_sources,
 )
@@ -96,9 +96,8 @@ def package(
     build_source: makes the FMU that gives a signal; called once for every driven input
     build_started: makes the FMU of a component that starts with the values of the scenario
     Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, another signal than
-    ramps, or an FMU of FMI 3.0.
+    ramps, or an array of FMI 3.0.
     """
-    check_standard(scenario.system, f"an SSP package of {scenario.name}")
     scenarios = family(scenario)
     for variant in scenarios:
         check_plain_exchange(variant.experiment, f"an SSP package of {variant.name}")
@@ -106,6 +105,9 @@ def package(
     with tempfile.TemporaryDirectory(prefix="l1-depth-sources-") as folder:
         fmus = {target: build_source(source, Path(folder)) for target, source in sources.items()}
         variants = _with_all_settings([_variant(chosen, version, sources, fmus) for chosen in scenarios])
+        for variant in variants:
+            named = [*variant.connectors, *(port for port, _ in variant.values)]
+            check_scalars(named, variant.prepared.system, f"an SSP package of {variant.name}")
         packed = {
             name: build_started(fmu, variants[0].values_of(name), Path(folder, name))
             for name, fmu in variants[0].prepared.system.components.items()

@@ -38,12 +38,12 @@ def test_a_scenario_with_what_a_package_cannot_hold_is_refused(tmp_path: Path, l
         ssp_write.package(scenario.load(path), tmp_path / "mine.ssp", build_ramp_source)
 
 
-def test_an_fmu_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
-    """Its arrays are no scalars for those who read a package."""
+def test_an_array_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
+    """Its elements are no variables for those who read a package."""
     settings = {"plant": str(fmi3_built["RovDepthPlant"])}
     chosen = scenario.load(scenario.find("nominal-l1"), settings=settings)
-    refused = "with plant, RovDepthPlant.fmu, of FMI 3.0: expected FMI 2.0, as l1-depth build writes it"
-    with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* {refused}"):
+    refused = r"plant\.voltage\[1\], an element of an array of FMI 3\.0: expected scalars, as l1-depth build"
+    with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* with {refused}"):
         ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source)
     assert list(tmp_path.iterdir()) == []
 
