@@ -12,7 +12,7 @@ from fmus.files import write_archive
 from orchestration.exchange import ssp_read
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.system.system import LinearTransformation
-from tests.described_fmus import described
+from tests.described_fmus import described, members
 from tests.orchestration.exchange.conftest import refusal
 from tests.orchestration.exchange.structures import (
     SPACES,
@@ -26,6 +26,7 @@ from tests.orchestration.exchange.structures import (
     system,
 )
 
+LINEAR = '<ssc:LinearTransformation factor="4" offset="5"/>'
 UNITS = '<ssc:Unit name="m"><ssc:BaseUnit m="1"/></ssc:Unit>'
 UNITS += '<ssc:Unit name="cm"><ssc:BaseUnit m="1" factor="0.01"/></ssc:Unit>'
 
@@ -71,6 +72,45 @@ def test_a_value_of_a_connector_of_a_system_is_that_of_what_it_leads_to(tmp_path
         assert loop.experiment.inputs == {"inner.b.u": -3.0}
 
 
+def test_a_value_that_a_connector_passes_on_is_converted_and_one_of_a_driven_input_has_no_effect(
+    tmp_path: Path,
+) -> None:
+    inner = system("d", component("b"), connection("in", "b.k"), connectors(**{"in": "parameter cm"}))
+    given = bindings(binding("d.in", "80"), binding("a.u", "7"))
+    root = system("root", component("a") + inner, connection("a.y", "a.u"), given)
+    with ssp_read.opened(package(tmp_path, root)) as loop:
+        assert (loop.experiment.parameters, loop.experiment.inputs) == ({"d.b.k": 0.8}, {})
+
+
+@pytest.mark.parametrize(
+    ("given", "wire", "message"),
+    [
+        (
+            mapping("p", "a.k", '<ssc:LinearTransformation factor="two"/>'),
+            "",
+            "mapping of a.k: could not convert",
+        ),
+        (
+            "",
+            "<ssc:BooleanMappingTransformation/>",
+            "connection a.y -> a.u: a BooleanMappingTransformation: not supported; expected a linear one",
+        ),
+    ],
+)
+def test_a_transformation_that_is_not_understood_is_refused(
+    tmp_path: Path, given: str, wire: str, message: str
+) -> None:
+    wires = connection("a.y", "a.u", inside=wire)
+    root = system("root", component("a"), wires, bindings(binding("p", "1", "", given)) if given else "")
+    assert message in refusal(package(tmp_path, root))
+
+
+def test_a_text_with_a_linear_transformation_is_refused(tmp_path: Path) -> None:
+    own = binding("p", '<ssv:String value="text"/>', "", mapping("p", "a.k", LINEAR))
+    message = refusal(package(tmp_path, system("root", component("a"), "", bindings(own)), "String"))
+    assert "'text' with a linear transformation: expected a number" in message
+
+
 @pytest.mark.parametrize(
     ("of_component", "of_inner", "of_root", "expected"),
     [
@@ -94,9 +134,6 @@ def test_a_higher_level_goes_over_a_lower_one_and_the_last_set_over_the_first(
     inner = system("inner", component("b", bound(of_component)), "", bound(of_inner))
     with ssp_read.opened(package(tmp_path, system("root", inner, "", bound(of_root)))) as loop:
         assert loop.experiment.parameters == {"inner.b.k": expected}
-
-
-LINEAR = '<ssc:LinearTransformation factor="4" offset="5"/>'
 
 
 @pytest.mark.parametrize(
@@ -168,6 +205,13 @@ def test_a_unit_that_is_not_defined_is_refused_but_where_its_conversion_is_suppr
             continue
         with ssp_read.opened(package(tmp_path, root)) as loop:
             assert loop.system.connections == (("a.y", "d.b.u"),)
+
+
+def test_a_package_without_a_stop_time_is_refused(tmp_path: Path) -> None:
+    path = package(tmp_path, system("root", component("a")))
+    text = members(path)[STRUCTURE].replace(b' stopTime="2"', b"")
+    write_archive(path, members(path) | {STRUCTURE: text})
+    assert "expected a default experiment with a stop time, of it or of an FMU" in refusal(path)
 
 
 def test_a_signal_dictionary_renames(tmp_path: Path) -> None:
