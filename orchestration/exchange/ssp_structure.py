@@ -204,9 +204,9 @@ def _of_elements(
     source: str, target: str, change: LinearTransformation, ports: Mapping[str, Port]
 ) -> Iterator[tuple[Any, ...]]:
     """Yields the connections of the elements of two arrays, in order, or of two scalars."""
-    elements = ([n for n in ports if n.startswith(f"{end}[")] for end in (source, target))
-    is_array = source not in ports and target not in ports
-    pairs = zip(*elements, strict=False) if is_array else [(source, target)]
+    ones, others = ([n for n in ports if n.startswith(f"{end}[")] for end in (source, target))
+    # names that fit no variable, and arrays of different sizes, are refused with the system
+    is_array = 0 < len(ones) == len(others) and source not in ports and target not in ports
     given = () if change == LinearTransformation() else (change,)
-    for one, other in pairs or [(source, target)]:
+    for one, other in zip(ones, others, strict=True) if is_array else [(source, target)]:
         yield one, other, *given

@@ -204,28 +204,31 @@ def _fill(system: Element, path: str, variant: _Variant, resources: Mapping[str,
         _fill(inner, within, variant, resources)
     connections, given = add(system, "ssd:Connections"), list[dict[str, str]]()
     for source, target in variant.prepared.system.connections:
-        ends = dict[str, str]()
-        for side, port, other in (("start", source, target), ("end", target, source)):
-            if port.component.startswith(path):
-                element = port.component.removeprefix(path).partition(".")[0]
-                connector = port.name.removeprefix(f"{path}{element}.")
-                ends |= {f"{side}Element": element, f"{side}Connector": connector}
-            else:
-                ends[f"{side}Connector"] = other.name.removeprefix(path)
-        named = [path + ends[side] for side in ("startElement", "endElement") if side in ends]
-        is_deeper = len(named) == 2 and named[0] == named[1] not in resources
-        if not named or is_deeper or ends in given:
+        (start, output), (end, into) = _end(source, target, path), _end(target, source, path)
+        named = {"startElement": start, "startConnector": output, "endElement": end, "endConnector": into}
+        ends = {name: text for name, text in named.items() if text}
+        # outside of the system, or inside one of its systems
+        is_elsewhere = start == end and path + start not in resources
+        if is_elsewhere or ends in given:
             continue
         given.append(ends)
         connection = add(connections, "ssd:Connection", **ends)
         transformation = variant.prepared.system.transformations.get(target.name)
-        if transformation and len(named) == 2:
+        if transformation and start and end:
             # the factor acts on unconverted values: an importer must not convert units as well
             connection.set("suppressUnitConversion", "true")
             values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
             add(connection, "ssc:LinearTransformation", **values)
     if not given:
         system.remove(connections)  # the schema has no empty one
+
+
+def _end(port: Port, other: Port, path: str) -> tuple[str, str]:
+    """Returns element and connector of a connection's end; "" and the system's connector if it is outside."""
+    if not port.component.startswith(path):
+        return "", other.name.removeprefix(path)
+    element = port.component.removeprefix(path).partition(".")[0]
+    return element, port.name.removeprefix(f"{path}{element}.")
 
 
 def _connectors(parent: Element, ports: Mapping[str, Port]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from fmus.files import write_archive
+from orchestration.errors import SystemDefinitionError
 from orchestration.exchange import ssp_read
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.system.system import LinearTransformation
@@ -212,6 +213,29 @@ def test_a_package_without_a_stop_time_is_refused(tmp_path: Path) -> None:
     text = members(path)[STRUCTURE].replace(b' stopTime="2"', b"")
     write_archive(path, members(path) | {STRUCTURE: text})
     assert "expected a default experiment with a stop time, of it or of an FMU" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "message"),
+    [("x[1] x[2]", "v[1] v[2] v[3]", "'a.x'"), ("x[1] x[2]", "w", "'a.x'"), ("y", "w", "'a.x'")],
+)
+def test_arrays_of_different_sizes_and_unknown_names_are_refused(
+    tmp_path: Path, source: str, target: str, message: str
+) -> None:
+    """A connection of x and v: no such variables, or arrays of them."""
+    path = package(tmp_path, system("root", component("a"), connection("a.x", "a.v")))
+    fmu = described(tmp_path / "g.fmu", target.split(), source.split(), ["k"])
+    write_archive(path, members(path) | {"f.fmu": fmu.read_bytes()})
+    with ssp_read.opened(path) as loop, pytest.raises(SystemDefinitionError, match=message):
+        _ = loop.prepared
+
+
+def test_arrays_are_connected_element_by_element(tmp_path: Path) -> None:
+    path = package(tmp_path, system("root", component("a"), connection("a.x", "a.v")))
+    fmu = described(tmp_path / "g.fmu", ["v[1]", "v[2]"], ["x[1]", "x[2]"], ["k"])
+    write_archive(path, members(path) | {"f.fmu": fmu.read_bytes()})
+    with ssp_read.opened(path) as loop:
+        assert loop.system.connections == (("a.x[1]", "a.v[1]"), ("a.x[2]", "a.v[2]"))
 
 
 def test_a_signal_dictionary_renames(tmp_path: Path) -> None:
