@@ -111,6 +111,9 @@ class Structure:
                 raise self.package.error(f"{purpose}: no element {owner!r}; {nearest(owner, elements)}")
             node = Node(elements[owner] if owner else path, name)
             connector = self.connectors.get(node)
+            if connector is None and node.path[:-1] not in self.components:
+                known = nearest(name, (other.name for other in self.connectors if other.path == node.path))
+                raise self.package.error(f"connection of {''.join(node)}: no connector {name!r}; {known}")
             kind = None if connector is None else connector.get("kind")
             is_out, is_in = (_OUT_OF, _INTO) if owner else (_INTO, _OUT_OF)
             ends.append(node)

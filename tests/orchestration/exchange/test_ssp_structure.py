@@ -230,6 +230,14 @@ def test_arrays_of_different_sizes_and_unknown_names_are_refused(
         _ = loop.prepared
 
 
+@pytest.mark.parametrize("start", ["inner.outt", "outt"])
+def test_a_connector_of_a_system_that_is_not_there_is_refused(tmp_path: Path, start: str) -> None:
+    """In the system itself and in one inside it: the input would stay open in silence."""
+    root = system("root", component("a") + NESTED, connection(start, "a.u"), connectors(out="input"))
+    message = refusal(package(tmp_path, root))
+    assert f"connection of {start}: no connector 'outt'; nearest is 'out'" in message
+
+
 def test_arrays_are_connected_element_by_element(tmp_path: Path) -> None:
     path = package(tmp_path, system("root", component("a"), connection("a.x", "a.v")))
     fmu = described(tmp_path / "g.fmu", ["v[1]", "v[2]"], ["x[1]", "x[2]"], ["k"])
