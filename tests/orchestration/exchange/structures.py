@@ -1,4 +1,10 @@
-"""Parts of the text of a SystemStructure.ssd."""
+"""Parts of the text of a SystemStructure.ssd, and small packages over one described FMU."""
+
+from pathlib import Path
+
+from fmus.files import write_archive
+from orchestration.exchange.ssp_xml import STRUCTURE
+from tests.described_fmus import described
 
 BASE = "http://ssp-standard.org/SSP1/SystemStructure"
 SPACES = " ".join(
@@ -61,3 +67,25 @@ def mapping(source: str, target: str, inside: str = "", attributes: str = "") ->
     entry = f'<ssm:MappingEntry source="{source}" target="{target}" {attributes}>{inside}</ssm:MappingEntry>'
     inside = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
     return f"<ssd:ParameterMapping>{inside}</ssd:ParameterMapping>"
+
+
+LINEAR = '<ssc:LinearTransformation factor="4" offset="5"/>'
+UNITS = '<ssc:Unit name="m"><ssc:BaseUnit m="1"/></ssc:Unit>'
+UNITS += '<ssc:Unit name="cm"><ssc:BaseUnit m="1" factor="0.01"/></ssc:Unit>'
+
+
+def package(folder: Path, root: str, kind: str = "") -> Path:
+    """A package of an FMU f.fmu with input u, output y and parameter k in m; kind: type of FMI of k"""
+    units = {"u": "m", "y": "m"} | ({} if kind else {"k": "m"})
+    fmu = described(folder / "f.fmu", ["u"], ["y"], [f"k:{kind}" if kind else "k"], units)
+    text = f'<ssd:SystemStructureDescription {SPACES} name="s" version="1.0">{root}<ssd:Units>{UNITS}'
+    text += '</ssd:Units><ssd:DefaultExperiment startTime="1" stopTime="2"/></ssd:SystemStructureDescription>'
+    return write_archive(folder / "p.ssp", {"f.fmu": fmu.read_bytes(), STRUCTURE: text.encode()})
+
+
+NESTED = system(
+    "inner",
+    component("b"),
+    connection("in", "b.u") + connection("b.y", "out") + connection("gain", "b.k"),
+    connectors(**{"in": "input", "out": "output", "gain": "parameter"}),
+)
