@@ -117,24 +117,21 @@ def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:
 
 
 def _of_recordings(one: Recording, other: Recording) -> list[Change]:
-    first, largest = None, (0.0, "")
-    for name in (name for name in one.names if name in other.names):
-        a, b = (np.asarray(own[name], float) for own in (one, other))
-        rows = min(a.size, b.size)
-        a, b = a[:rows], b[:rows]
-        differs = np.flatnonzero((a != b) & ~(np.isnan(a) & np.isnan(b)))
-        if not differs.size:
-            continue
-        if first is None or differs[0] < first[0]:
-            first = int(differs[0]), name
-        scale = np.nanmax(np.abs(np.concatenate([a, b]))) or 1.0
-        gap = np.abs(a - b)[differs]
-        size, row = float(np.max(gap)), int(differs[np.argmax(gap)])
-        if not size / scale <= largest[0]:
-            text = f"{size:.3g} of {name} at t = {one.time[row]:.6g} s, whose largest value is {scale:.3g}"
-            largest = size / scale, text
-    if first is None:
+    names = [name for name in one.names if name in other.names]
+    rows = min(one.time.size, other.time.size)
+    a, b = (np.array([own[name][:rows] for name in names], float).reshape(-1, rows).T for own in (one, other))
+    differs = (a != b) & ~(np.isnan(a) & np.isnan(b))
+    if not differs.any():
         return []
-    level = Level.PATCH if largest[0] <= _ROUNDING else Level.MINOR
-    where = f"differs first at t = {one.time[first[0]]:.6g} s in {first[1]}; at most by {largest[1]}"
-    return [Change(level, "behaviour", where)]
+    row, column = np.argwhere(differs)[0]
+    scale = np.max(np.nan_to_num(np.abs([a, b]), posinf=np.inf), axis=(0, 1))
+    with np.errstate(invalid="ignore"):
+        gap = np.where(differs, np.abs(a - b), 0.0)
+        relative = np.nan_to_num(gap / np.where(scale, scale, 1.0), nan=np.inf)
+    last, largest = np.unravel_index(np.argmax(relative), relative.shape)
+    level = Level.PATCH if relative[last, largest] <= _ROUNDING else Level.MINOR
+    text = (
+        f"differs first at t = {one.time[row]:.6g} s in {names[column]}; at most by {gap[last, largest]:.3g}"
+        f" of {names[largest]} at t = {one.time[last]:.6g} s, whose largest value is {scale[largest]:.3g}"
+    )
+    return [Change(level, "behaviour", text)]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from fmpy import read_model_description
 
 from fmus.fmi.description import describe
 from orchestration.errors import ScenarioError
@@ -41,22 +42,17 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
         raise ScenarioError(f"{target} with {present}: expected none, it cannot carry them")
 
 
-def check_standard(system: System | CheckedSystem, target: str) -> None:
-    """Raises ScenarioError for an FMU of FMI 3.0, whose arrays are no scalars elsewhere."""
+def check_scalars(variables: Iterable[Port], system: CheckedSystem, target: str) -> None:
+    """Raises ScenarioError for an element of an array of FMI 3.0: importers do not find it by its name."""
+    ports = list(variables)
     for name, path in system.components.items():
-        if (version := describe(path).fmiVersion) != "2.0":
+        if describe(path).fmiVersion == "2.0":
+            continue
+        declared = {v.name for v in read_model_description(str(path), validate=False).modelVariables}
+        for port in (p for p in ports if p.component == name and p.variable.name not in declared):
             raise ScenarioError(
-                f"{target} with {name}, {path.name}, of FMI {version}: expected FMI 2.0, "
-                "as l1-depth build writes it"
-            )
-
-
-def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> None:
-    """Raises ScenarioError for a variable whose FMI type is not among these."""
-    for port in ports:
-        if port.variable.type not in types:
-            raise ScenarioError(
-                f"{target} with {port.name}: expected type {' or '.join(types)}, got {port.variable.type}"
+                f"{target} with {port.name}, an element of an array of FMI 3.0: expected scalars, as "
+                "l1-depth build --fmi 3 --scalars writes them"
             )
 
 

@@ -111,6 +111,9 @@ class Structure:
                 raise self.package.error(f"{purpose}: no element {owner!r}; {nearest(owner, elements)}")
             node = Node(elements[owner] if owner else path, name)
             connector = self.connectors.get(node)
+            if connector is None and node.path[:-1] not in self.components:
+                known = nearest(name, (other.name for other in self.connectors if other.path == node.path))
+                raise self.package.error(f"connection of {''.join(node)}: no connector {name!r}; {known}")
             kind = None if connector is None else connector.get("kind")
             is_out, is_in = (_OUT_OF, _INTO) if owner else (_INTO, _OUT_OF)
             ends.append(node)
@@ -204,9 +207,9 @@ def _of_elements(
     source: str, target: str, change: LinearTransformation, ports: Mapping[str, Port]
 ) -> Iterator[tuple[Any, ...]]:
     """Yields the connections of the elements of two arrays, in order, or of two scalars."""
-    elements = ([n for n in ports if n.startswith(f"{end}[")] for end in (source, target))
-    is_array = source not in ports and target not in ports
-    pairs = zip(*elements, strict=False) if is_array else [(source, target)]
+    ones, others = ([n for n in ports if n.startswith(f"{end}[")] for end in (source, target))
+    # names that fit no variable, and arrays of different sizes, are refused with the system
+    is_array = 0 < len(ones) == len(others) and source not in ports and target not in ports
     given = () if change == LinearTransformation() else (change,)
-    for one, other in pairs or [(source, target)]:
+    for one, other in zip(ones, others, strict=True) if is_array else [(source, target)]:
         yield one, other, *given

@@ -30,7 +30,7 @@ from orchestration.exchange.limits import (
     BuildSource,
     RampSource,
     check_plain_exchange,
-    check_standard,
+    check_scalars,
     ramp_sources,
     with_sources,
 )
@@ -96,9 +96,8 @@ def package(
     build_source: makes the FMU that gives a signal; called once for every driven input
     build_started: makes the FMU of a component that starts with the values of the scenario
     Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, another signal than
-    ramps, or an FMU of FMI 3.0.
+    ramps, or an array of FMI 3.0.
     """
-    check_standard(scenario.system, f"an SSP package of {scenario.name}")
     scenarios = family(scenario)
     for variant in scenarios:
         check_plain_exchange(variant.experiment, f"an SSP package of {variant.name}")
@@ -106,6 +105,9 @@ def package(
     with tempfile.TemporaryDirectory(prefix="l1-depth-sources-") as folder:
         fmus = {target: build_source(source, Path(folder)) for target, source in sources.items()}
         variants = _with_all_settings([_variant(chosen, version, sources, fmus) for chosen in scenarios])
+        for variant in variants:
+            named = [*variant.connectors, *(port for port, _ in variant.values)]
+            check_scalars(named, variant.prepared.system, f"an SSP package of {variant.name}")
         packed = {
             name: build_started(fmu, variants[0].values_of(name), Path(folder, name))
             for name, fmu in variants[0].prepared.system.components.items()
@@ -133,7 +135,7 @@ def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str
 def _resource_paths(component: str, fmu: Path) -> Iterator[str]:
     """Yields the paths that the FMU of a component may have, the preferred one first; endless.
 
-    They are URIs (RFC 3986) without escapes, which not every importer decodes.
+    They are URIs (RFC 3986) without escapes, which of the importers libcosim alone decodes.
     """
     numbered = (f"{component}_{number}.fmu" for number in itertools.count(2))
     names = itertools.chain((fmu.name, f"{component}.fmu"), numbered)
@@ -202,28 +204,31 @@ def _fill(system: Element, path: str, variant: _Variant, resources: Mapping[str,
         _fill(inner, within, variant, resources)
     connections, given = add(system, "ssd:Connections"), list[dict[str, str]]()
     for source, target in variant.prepared.system.connections:
-        ends = dict[str, str]()
-        for side, port, other in (("start", source, target), ("end", target, source)):
-            if port.component.startswith(path):
-                element = port.component.removeprefix(path).partition(".")[0]
-                connector = port.name.removeprefix(f"{path}{element}.")
-                ends |= {f"{side}Element": element, f"{side}Connector": connector}
-            else:
-                ends[f"{side}Connector"] = other.name.removeprefix(path)
-        named = [path + ends[side] for side in ("startElement", "endElement") if side in ends]
-        is_deeper = len(named) == 2 and named[0] == named[1] not in resources
-        if not named or is_deeper or ends in given:
+        (start, output), (end, into) = _end(source, target, path), _end(target, source, path)
+        named = {"startElement": start, "startConnector": output, "endElement": end, "endConnector": into}
+        ends = {name: text for name, text in named.items() if text}
+        # outside of the system, or inside one of its systems
+        is_elsewhere = start == end and path + start not in resources
+        if is_elsewhere or ends in given:
             continue
         given.append(ends)
         connection = add(connections, "ssd:Connection", **ends)
         transformation = variant.prepared.system.transformations.get(target.name)
-        if transformation and len(named) == 2:
+        if transformation and start and end:
             # the factor acts on unconverted values: an importer must not convert units as well
             connection.set("suppressUnitConversion", "true")
             values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
             add(connection, "ssc:LinearTransformation", **values)
     if not given:
         system.remove(connections)  # the schema has no empty one
+
+
+def _end(port: Port, other: Port, path: str) -> tuple[str, str]:
+    """Returns element and connector of a connection's end; "" and the system's connector if it is outside."""
+    if not port.component.startswith(path):
+        return "", other.name.removeprefix(path)
+    element = port.component.removeprefix(path).partition(".")[0]
+    return element, port.name.removeprefix(f"{path}{element}.")
 
 
 def _connectors(parent: Element, ports: Mapping[str, Port]) -> None:

@@ -22,7 +22,6 @@ from fmus.errors import FmuLoadError
 from fmus.files import extract_archive
 from fmus.fmi.variable_types import TRANSFER_TYPE
 from orchestration.errors import ScenarioError
-from orchestration.exchange.limits import check_standard, check_types
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.prepared_run import PreparedRun, Setting
@@ -68,13 +67,16 @@ def program(prepared: PreparedRun, settings: Sequence[Setting]) -> bytes:
     from fmus.native.toolchain import FLAGS, FMI_HEADERS, zig
 
     system = prepared.system
-    check_standard(system, _TARGET)
     if prepared.experiment.tolerance:
         raise ScenarioError(f"{_TARGET} with a tolerance: expected none, its steps are on the grid")
     changed = [port for changes in prepared.changes.values() for port, _ in changes]
     ends = [port for connection in system.connections for port in connection]
     recorded = [system.ports[name] for name in prepared.recorded]
-    check_types([*changed, *ends, *recorded, *(port for port, _ in settings)], _NUMBERS, _TARGET)
+    for port in (*changed, *ends, *recorded, *(port for port, _ in settings)):
+        if (kind := port.variable.type) not in _NUMBERS:
+            raise ScenarioError(
+                f"{_TARGET} with {port.name}: expected type {' or '.join(_NUMBERS)}, got {kind}"
+            )
     here = resources.files("orchestration")
     with TemporaryDirectory(prefix="l1-depth-web-") as name:
         folder = Path(name)
@@ -104,6 +106,8 @@ def _unpack_sources(system: CheckedSystem, folder: Path, headers: Path) -> Itera
     paths: dict[str, Path] = {}
     for component, path in system.components.items():
         description, identifier = system.descriptions[component], _prefix(system.descriptions[component])
+        if description.fmiVersion != "2.0":
+            raise FmuLoadError(f"{_TARGET} with {path}, of FMI {description.fmiVersion}: expected FMI 2.0")
         if description.is_model_exchange:
             raise FmuLoadError(f"{_TARGET} with {path}, for model exchange alone: expected co-simulation")
         if other := paths.get(identifier):

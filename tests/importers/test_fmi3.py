@@ -8,7 +8,11 @@ import pytest
 from fmus.fmi.process import Worker
 from fmus.generate import builder
 from orchestration import Experiment, System, simulate
+from orchestration.exchange import ssp_write
+from orchestration.scenarios.scenario import Scenario
+from tests.importers.comparison import run_isolated
 from tests.importers.fmi3_loops import STEP, Link, Loop, run_in_container, run_in_ecos
+from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 from tests.isolated import answer_of
 from tests.shared_builds import Fmus
 
@@ -44,11 +48,13 @@ def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: builder.build_block(block, folder, fmi=3, scalars=True) for name, block in blocks.items()}
 
 
+EXPERIMENT = Experiment(stop_time=STEPS * STEP, step_size=STEP, record=(OUTPUT,), open_inputs="start")
+
+
 @pytest.fixture(scope="module")
 def ours(built: Fmus) -> np.ndarray:
     system = System({name: built[name] for name in NAMES}, [*DEPTHS, *ELEMENTS])
-    experiment = Experiment(stop_time=STEPS * STEP, step_size=STEP, open_inputs="start")
-    return simulate(system, experiment)[OUTPUT]
+    return simulate(system, EXPERIMENT)[OUTPUT]
 
 
 def answer(worker: Worker, loop: Loop, *others: object) -> np.ndarray:
@@ -91,3 +97,19 @@ def test_fmucontainer_connects_scalars_of_fmi_3(of_scalars: dict[str, Path], our
 def test_ecos_does_not_connect_arrays(fmi3: dict[str, Path]) -> None:
     """Ecos 0.7.2 reports no error, and nothing moves; its page must change when this fails."""
     assert not np.any(answer(run_in_ecos, loop(fmi3, *ARRAY)))
+
+
+@pytest.mark.parametrize("importer", IMPORTERS)
+def test_packages_of_scalars_of_fmi_3_run_where_the_importer_knows_fmi_3(
+    importer: str, of_scalars: dict[str, Path], ours: np.ndarray, tmp_path: Path
+) -> None:
+    """Ecos and fmucontainer; FMPy's master for packages, and libcosim, load FMUs of FMI 2.0 alone."""
+    system = System({name: of_scalars[name] for name in NAMES}, [*DEPTHS, *ELEMENTS])
+    mine = Scenario("mine", "", system, EXPERIMENT, {})
+    package = ssp_write.package(mine, tmp_path / "mine.ssp", lambda *_: tmp_path)
+    result = run_isolated(importer, ImporterJob(package, ((PLANT, "depth"),), 0.0, STEPS * STEP, STEP))
+    if importer in ("fmpy_ssp", "libcosim"):
+        assert isinstance(result, str)
+        return
+    assert isinstance(result, Trajectory), result
+    np.testing.assert_allclose(result.values[:, 0], ours, rtol=0.0, atol=ROUNDING_OF_TIME)

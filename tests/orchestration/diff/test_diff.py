@@ -17,7 +17,7 @@ from orchestration.diff.change import Change, Level
 from orchestration.diff.command import _changes
 from orchestration.diff.interface import file_changes, interface_changes
 from orchestration.results.recording import Recording
-from tests.described_fmus import XML, described, redescribed
+from tests.described_fmus import XML, described, members, redescribed
 from tests.shared_builds import Fmus
 
 
@@ -41,6 +41,16 @@ def fmu(folder: Path, inputs: str = "u", units: str = "m") -> Path:
             "k: start",
         ),
         ("u", "m", ' canHandleVariableCommunicationStepSize="true"', "", Level.MAJOR, "canHandleVariable"),
+        ("u", "m", 'causality="output"', 'causality="local"', Level.MAJOR, "y: causality output -> local"),
+        ("u", "m", 'guid="none"', 'guid="x" numberOfEventIndicators="2"', Level.PATCH, "numberOfEvent"),
+        (
+            "u",
+            "m",
+            "<ModelVariables>",
+            '<DefaultExperiment stepSize="0.5"/><ModelVariables>',
+            Level.MINOR,
+            "default experiment: stepSize None -> 0.5",
+        ),
     ],
 )
 def test_a_difference_of_the_interface_has_its_level(
@@ -76,6 +86,23 @@ def test_results_differ_at_an_instant_in_a_variable_and_by_rounding_at_most_is_a
     assert "differs first at t = 0.1 s in a.z; at most by" in change.text
     assert "of a.z at t = 0.2 s" in change.text
     assert _of_recordings(one, one) == []
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_value_that_is_no_number_in_one_run_alone_is_the_largest_difference(column: int) -> None:
+    time, values = np.array([0.0, 0.1]), np.array([[1.0, 2.0], [1.0, np.nan]])
+    other = np.array([[1.5, 2.5], [1.0, np.nan]])
+    other[1, column] = 3.0 if column else np.nan
+    one, two = (Recording(("a.y", "a.z"), ("", ""), time, v) for v in (values, other))
+    (change,) = _of_recordings(one, two)
+    assert f"at most by nan of {('a.y', 'a.z')[column]} at t = 0.1 s" in change.text
+    assert change.level is Level.MINOR
+    assert _of_recordings(two, two) == []
+
+
+def test_runs_that_have_no_variable_in_common_do_not_differ() -> None:
+    one, other = (Recording((name,), ("",), np.zeros(1), np.ones((1, 1))) for name in ("a.y", "a.z"))
+    assert _of_recordings(one, other) == []
 
 
 def test_the_exit_status_is_1_from_the_level_on_that_is_asked_for(
@@ -116,6 +143,15 @@ def test_one_changed_gain_of_two_builds_is_said_in_a_line(
     assert "minor  behaviour  differs first at t = 0.04 s in fmu." in printed[0]
     assert "minor  behaviour  ModelExchange: differs first at t = " in printed[0]
     assert "behaviour" not in printed[1]
+
+
+def test_an_fmu_that_no_longer_runs_is_a_major_change(built: Fmus, tmp_path: Path) -> None:
+    whole = built["ExamplePlant"]
+    files = {name: content for name, content in members(whole).items() if not name.startswith("binaries/")}
+    broken = write_archive(tmp_path / "broken.fmu", files)
+    for pair, level in (((whole, broken), Level.MAJOR), ((broken, whole), Level.MINOR)):
+        changes = [c for c in compared(*pair) if c.part == "behaviour" and "a whole run" in c.text]
+        assert [change.level for change in changes] == [level] * 2  # of both interfaces
 
 
 def compared(old: Path, new: Path) -> list[Change]:

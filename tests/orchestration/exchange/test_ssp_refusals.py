@@ -38,12 +38,12 @@ def test_a_scenario_with_what_a_package_cannot_hold_is_refused(tmp_path: Path, l
         ssp_write.package(scenario.load(path), tmp_path / "mine.ssp", build_ramp_source)
 
 
-def test_an_fmu_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
-    """Its arrays are no scalars for those who read a package."""
+def test_an_array_of_fmi_3_is_refused(fmi3_built: Fmus, tmp_path: Path) -> None:
+    """Its elements are no variables for those who read a package."""
     settings = {"plant": str(fmi3_built["RovDepthPlant"])}
     chosen = scenario.load(scenario.find("nominal-l1"), settings=settings)
-    refused = "with plant, RovDepthPlant.fmu, of FMI 3.0: expected FMI 2.0, as l1-depth build writes it"
-    with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* {refused}"):
+    refused = r"plant\.voltage\[1\], an element of an array of FMI 3\.0: expected scalars, as l1-depth build"
+    with pytest.raises(ScenarioError, match=rf"an SSP package of nominal-l1.* with {refused}"):
         ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source)
     assert list(tmp_path.iterdir()) == []
 
@@ -70,6 +70,10 @@ def test_a_package_with_an_fmu_of_fmi_3_runs(package: Path, fmi3_built: Fmus, tm
         ("</ssd:System>", "", "expected XML"),
         (' version="1.0" name=', ' version="3.0" name=', "version '3.0': expected 1.0 or 2.0"),
         ("<ssd:Connection start", '<ssd:Connection startIndices="0" start', "startIndices of a connection"),
+        ("<ssd:SystemStr", "<!DOCTYPE x><ssd:SystemStr", "expected XML without a document type"),
+        ('<ssc:BaseUnit kg="1"', '<ssc:BaseUnit kg="one"', "a unit: invalid literal for int"),
+        ('unit="V"', 'unit="N"', "connector plant.voltage[1] is in N: expected V, the unit in the FMU"),
+        ('<ssv:Integer value="2"', '<ssv:Integer value="two"', "expected a value of type Real, Integer"),
     ],
 )
 def test_what_is_not_understood_is_refused(
@@ -78,16 +82,23 @@ def test_what_is_not_understood_is_refused(
     assert message in refusal(edited(STRUCTURE, old, new))
 
 
-def test_a_package_without_a_component_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "system", "message"),
+    [
+        ("SystemStructureDescription", '<System name="root"/>', "no component: expected at least one FMU"),
+        ("SystemStructureDescription", "", "expected a System"),
+        ("ParameterSet", '<System name="root"/>', "expected a SystemStructureDescription of SSP"),
+    ],
+)
+def test_a_structure_without_a_component_is_refused(
+    tmp_path: Path, kind: str, system: str, message: str
+) -> None:
     name = "http://ssp-standard.org/SSP1/SystemStructureDescription"
-    kind, system = "SystemStructureDescription", '<System name="root"/>'
     structure = f'<{kind} xmlns="{name}" version="1.0">{system}</{kind}>'
     empty = write_archive(tmp_path / "empty.ssp", {STRUCTURE: structure.encode()})
-    with (
-        pytest.raises(ScenarioError, match="no component: expected at least one FMU"),
-        ssp_read.opened(empty),
-    ):
-        pass
+    assert f"empty.ssp: SystemStructure.ssd: {message}" in refusal(empty)
+    nothing = write_archive(tmp_path / "nothing.ssp", {"System.ssd": structure.encode()})
+    assert "no SystemStructure.ssd in it; nearest is 'System.ssd'" in refusal(nothing)
 
 
 def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str, str, str], Path]) -> None:

@@ -1,7 +1,4 @@
-"""SSP by its text: nested systems, bindings at every level, mappings, units, signal dictionaries.
-
-Every package here is a small structure over one described FMU, with input u, output y and parameter k in m.
-"""
+"""SSP by its text: nested systems, arrays, units of connectors, signal dictionaries."""
 
 import random
 from pathlib import Path
@@ -9,90 +6,20 @@ from pathlib import Path
 import pytest
 
 from fmus.files import write_archive
+from orchestration.errors import SystemDefinitionError
 from orchestration.exchange import ssp_read
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.system.system import LinearTransformation
-from tests.described_fmus import described
+from tests.described_fmus import described, members
 from tests.orchestration.exchange.conftest import refusal
-
-BASE = "http://ssp-standard.org/SSP1/SystemStructure"
-SPACES = " ".join(
-    f'xmlns:{prefix}="{BASE}{name}"'
-    for prefix, name in (
-        ("ssd", "Description"),
-        ("ssc", "Common"),
-        ("ssv", "ParameterValues"),
-        ("ssm", "ParameterMapping"),
-    )
-)
-UNITS = '<ssc:Unit name="m"><ssc:BaseUnit m="1"/></ssc:Unit>'
-UNITS += '<ssc:Unit name="cm"><ssc:BaseUnit m="1" factor="0.01"/></ssc:Unit>'
-
-
-def connectors(**kinds: str) -> str:
-    """Connectors by their names; "output cm" has a unit."""
-    own = ((name, *kind.split(), "") for name, kind in kinds.items())
-    texts = (
-        f'<ssd:Connector name="{name}" kind="{kind}"><ssc:Real{unit and f" unit={unit!r}"}/></ssd:Connector>'
-        for name, kind, unit, *_ in own
-    )
-    return f"<ssd:Connectors>{''.join(texts)}</ssd:Connectors>"
-
-
-def component(name: str, inside: str = "", source: str = "f.fmu") -> str:
-    own = connectors(u="input", y="output", k="parameter")
-    return f'<ssd:Component name="{name}" source="{source}">{own}{inside}</ssd:Component>'
-
-
-def system(name: str, elements: str, connections: str = "", before: str = "") -> str:
-    inside = f"<ssd:Elements>{elements}</ssd:Elements><ssd:Connections>{connections}</ssd:Connections>"
-    return f'<ssd:System name="{name}">{before}{inside}</ssd:System>'
-
-
-def connection(start: str, end: str, attributes: str = "", inside: str = "") -> str:
-    """Between "element.connector"s; of the system itself where no dot is."""
-    ends = (
-        f'{side}Element="{name.rpartition(".")[0]}" {side}Connector="{name.rpartition(".")[2]}"'
-        for side, name in (("start", start), ("end", end))
-    )
-    return f"<ssd:Connection {' '.join(ends)} {attributes}>{inside}</ssd:Connection>"
-
-
-def bindings(*sets: str) -> str:
-    return f"<ssd:ParameterBindings>{''.join(sets)}</ssd:ParameterBindings>"
-
-
-def binding(name: str, value: str, prefix: str = "", mapping: str = "") -> str:
-    own = f'<ssv:Parameter name="{name}">{value if "<" in value else real(value)}</ssv:Parameter>'
-    values = f'<ssv:ParameterSet version="1.0" name="p"><ssv:Parameters>{own}</ssv:Parameters>'
-    values = f"<ssd:ParameterValues>{values}</ssv:ParameterSet></ssd:ParameterValues>"
-    return f'<ssd:ParameterBinding prefix="{prefix}">{values}{mapping}</ssd:ParameterBinding>'
-
-
-def real(value: str, unit: str = "") -> str:
-    return f'<ssv:Real value="{value}"{unit and f" unit={unit!r}"}/>'
-
-
-def mapping(source: str, target: str, inside: str = "", attributes: str = "") -> str:
-    entry = f'<ssm:MappingEntry source="{source}" target="{target}" {attributes}>{inside}</ssm:MappingEntry>'
-    inside = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
-    return f"<ssd:ParameterMapping>{inside}</ssd:ParameterMapping>"
-
-
-def package(folder: Path, root: str, kind: str = "") -> Path:
-    """kind: type of FMI of the parameter k"""
-    units = {"u": "m", "y": "m"} | ({} if kind else {"k": "m"})
-    fmu = described(folder / "f.fmu", ["u"], ["y"], [f"k:{kind}" if kind else "k"], units)
-    text = f'<ssd:SystemStructureDescription {SPACES} name="s" version="1.0">{root}<ssd:Units>{UNITS}'
-    text += '</ssd:Units><ssd:DefaultExperiment startTime="1" stopTime="2"/></ssd:SystemStructureDescription>'
-    return write_archive(folder / "p.ssp", {"f.fmu": fmu.read_bytes(), STRUCTURE: text.encode()})
-
-
-NESTED = system(
-    "inner",
-    component("b"),
-    connection("in", "b.u") + connection("b.y", "out") + connection("gain", "b.k"),
-    connectors(**{"in": "input", "out": "output", "gain": "parameter"}),
+from tests.orchestration.exchange.structures import (
+    LINEAR,
+    NESTED,
+    component,
+    connection,
+    connectors,
+    package,
+    system,
 )
 
 
@@ -111,73 +38,6 @@ def test_systems_in_systems_become_components_of_one_level(tmp_path: Path) -> No
         }
         assert (loop.experiment.start_time, loop.experiment.stop_time) == (1.0, 2.0)
         assert loop.experiment.step_size == 0.001  # a thousandth of the run
-
-
-def test_a_value_of_a_connector_of_a_system_is_that_of_what_it_leads_to(tmp_path: Path) -> None:
-    given = bindings(binding("inner.gain", "7"), binding("inner.in", "-3"))
-    with ssp_read.opened(package(tmp_path, system("root", NESTED, "", given))) as loop:
-        assert loop.experiment.parameters == {"inner.b.k": 7.0}
-        assert loop.experiment.inputs == {"inner.b.u": -3.0}
-
-
-@pytest.mark.parametrize(
-    ("of_component", "of_inner", "of_root", "expected"),
-    [
-        (["k=1", "k=2"], [], [], 2.0),
-        (["k=1"], ["b.k=2"], [], 2.0),
-        (["k=1"], ["b.k=2"], ["inner.b.k=3"], 3.0),
-        (["k=1"], [], ["inner.b.k=4", "inner.b.k=3"], 3.0),
-        (["k=1"], ["b./k=5"], [], 5.0),
-        (["k=1"], ["b.k=2"], ["inner./b.k=6"], 6.0),
-    ],
-)
-def test_a_higher_level_goes_over_a_lower_one_and_the_last_set_over_the_first(
-    tmp_path: Path, of_component: list[str], of_inner: list[str], of_root: list[str], expected: float
-) -> None:
-    """PREFIX/NAME=VALUE: the prefix of a binding stands before the names of its set."""
-
-    def bound(texts: list[str]) -> str:
-        parts = [(text.rpartition("/"), text.partition("=")[2]) for text in texts]
-        return bindings(*(binding(n.partition("=")[0], value, prefix) for (prefix, _, n), value in parts))
-
-    inner = system("inner", component("b", bound(of_component)), "", bound(of_inner))
-    with ssp_read.opened(package(tmp_path, system("root", inner, "", bound(of_root)))) as loop:
-        assert loop.experiment.parameters == {"inner.b.k": expected}
-
-
-LINEAR = '<ssc:LinearTransformation factor="4" offset="5"/>'
-
-
-@pytest.mark.parametrize(
-    ("value", "prefix", "mapped", "expected"),
-    [
-        (real("2"), "", mapping("p", "a.k"), {"a.k": 2.0}),
-        (real("2"), "", mapping("p", "a.k", LINEAR), {"a.k": 13.0}),
-        (real("2"), "x.", mapping("x.p", "a.k", LINEAR), {"a.k": 13.0}),
-        (real("200", "cm"), "", mapping("p", "a.k", LINEAR), {"a.k": 13.0}),
-        (real("2", "cm"), "", mapping("p", "a.k", LINEAR, 'suppressUnitConversion="true"'), {"a.k": 13.0}),
-        (real("80", "cm"), "", mapping("p", "a.k"), {"a.k": 0.8}),
-        (real("80", "[cm]"), "", mapping("p", "a.k"), {"a.k": 0.8}),
-        (real("2"), "", mapping("q", "a.k"), {}),
-    ],
-)
-def test_a_mapping_renames_converts_and_then_transforms(
-    tmp_path: Path, value: str, prefix: str, mapped: str, expected: dict[str, float]
-) -> None:
-    """What it does not map is not applied."""
-    root = system("root", component("a"), "", bindings(binding("p", value, prefix, mapped)))
-    with ssp_read.opened(package(tmp_path, root)) as loop:
-        assert loop.experiment.parameters == expected
-
-
-@pytest.mark.parametrize(("given", "expected"), [("3", 30), ("4", 4)])
-def test_a_table_of_a_mapping_replaces_the_values_in_it(tmp_path: Path, given: str, expected: int) -> None:
-    item = '<ssc:MapEntry source="3" target="30"/>'
-    table = f"<ssc:IntegerMappingTransformation>{item}</ssc:IntegerMappingTransformation>"
-    own = binding("p", f'<ssv:Integer value="{given}"/>', "", mapping("p", "a.k", table))
-    root = system("root", component("a"), "", bindings(own))
-    with ssp_read.opened(package(tmp_path, root, "Integer")) as loop:
-        assert loop.experiment.parameters == {"a.k": expected}
 
 
 @pytest.mark.parametrize(
@@ -217,6 +77,44 @@ def test_a_unit_that_is_not_defined_is_refused_but_where_its_conversion_is_suppr
             continue
         with ssp_read.opened(package(tmp_path, root)) as loop:
             assert loop.system.connections == (("a.y", "d.b.u"),)
+
+
+def test_a_package_without_a_stop_time_is_refused(tmp_path: Path) -> None:
+    path = package(tmp_path, system("root", component("a")))
+    text = members(path)[STRUCTURE].replace(b' stopTime="2"', b"")
+    write_archive(path, members(path) | {STRUCTURE: text})
+    assert "expected a default experiment with a stop time, of it or of an FMU" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "message"),
+    [("x[1] x[2]", "v[1] v[2] v[3]", "'a.x'"), ("x[1] x[2]", "w", "'a.x'"), ("y", "w", "'a.x'")],
+)
+def test_arrays_of_different_sizes_and_unknown_names_are_refused(
+    tmp_path: Path, source: str, target: str, message: str
+) -> None:
+    """A connection of x and v: no such variables, or arrays of them."""
+    path = package(tmp_path, system("root", component("a"), connection("a.x", "a.v")))
+    fmu = described(tmp_path / "g.fmu", target.split(), source.split(), ["k"])
+    write_archive(path, members(path) | {"f.fmu": fmu.read_bytes()})
+    with ssp_read.opened(path) as loop, pytest.raises(SystemDefinitionError, match=message):
+        _ = loop.prepared
+
+
+@pytest.mark.parametrize("start", ["inner.outt", "outt"])
+def test_a_connector_of_a_system_that_is_not_there_is_refused(tmp_path: Path, start: str) -> None:
+    """In the system itself and in one inside it: the input would stay open in silence."""
+    root = system("root", component("a") + NESTED, connection(start, "a.u"), connectors(out="input"))
+    message = refusal(package(tmp_path, root))
+    assert f"connection of {start}: no connector 'outt'; nearest is 'out'" in message
+
+
+def test_arrays_are_connected_element_by_element(tmp_path: Path) -> None:
+    path = package(tmp_path, system("root", component("a"), connection("a.x", "a.v")))
+    fmu = described(tmp_path / "g.fmu", ["v[1]", "v[2]"], ["x[1]", "x[2]"], ["k"])
+    write_archive(path, members(path) | {"f.fmu": fmu.read_bytes()})
+    with ssp_read.opened(path) as loop:
+        assert loop.system.connections == (("a.x[1]", "a.v[1]"), ("a.x[2]", "a.v[2]"))
 
 
 def test_a_signal_dictionary_renames(tmp_path: Path) -> None:
