@@ -1,4 +1,4 @@
-"""Tests of `.ci/fronts.py`: known fronts and their areas, members of a front, a search that continues."""
+"""Tests of `.ci/fronts.py` and its parts: known fronts and their areas, a front, a search that continues."""
 
 import json
 import math
@@ -23,24 +23,25 @@ from orchestration.studies.score.tune_problem import LARGEST, problem_of
 from orchestration.studies.vehicle import Vehicle
 
 sys.path.insert(0, str(Path(__file__).parent.parent / ".ci"))
-from fronts import (  # pyright: ignore[reportMissingImports]
-    LEVELS,
-    SPECIAL_CASES,
+from front_points import (  # pyright: ignore[reportMissingImports]
     Point,
-    application,
     bounded_cost,
-    free_gains,
-    front_of_law,
     hypervolume,
     is_converged,
-    known_gains,
     least_errors,
     nondominated,
     points_of,
-    search_fronts,
     spread,
     with_margin,
 )
+from front_search import (  # pyright: ignore[reportMissingImports]
+    LEVELS,
+    free_gains,
+    front_of_law,
+    known_gains,
+    search_fronts,
+)
+from fronts import SPECIAL_CASES, application  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 REFERENCE = Point(10.0, 1000.0)
