@@ -65,13 +65,14 @@ def depth_guide(
     tuning: tuple[str, ...],
     limits: tuple[str, ...],
     sources: tuple[Source, ...],
+    has_observer: bool = True,
 ) -> Guide:
-    """Returns the guide of a depth controller without the L1 law, with the sentences for all of them."""
-    return Guide(
-        equations + ALLOCATION + OBSERVER,
-        CONVENTIONS,
-        (*tuning, OBSERVER_TUNING),
-        limits + _OF_BASELINES,
-        (*sources, OBSERVER_SOURCE),
-        EXPERIMENT,
-    )
+    """Returns the guide of a depth controller without the L1 law, with the sentences for all of them.
+
+    has_observer: whether the depth rate comes from the alpha-beta observer
+    """
+    equations, limits = equations + ALLOCATION, limits + _OF_BASELINES
+    if has_observer:
+        equations, tuning = equations + OBSERVER, (*tuning, OBSERVER_TUNING)
+        sources = (*sources, OBSERVER_SOURCE)
+    return Guide(equations, CONVENTIONS, tuning, limits, sources, EXPERIMENT)

@@ -9,25 +9,24 @@ Source: J. Han, From PID to active disturbance rejection control, IEEE Trans. In
 (2009); Z. Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from controller_fmu import depth_interface, shared_guide
-from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs, DepthState
+from controller_fmu.depth_interface import DepthInputs, DepthMeasurement, DepthOutputs
 from fmus.block import NoValues, variable
 from fmus.block.guide import Source
-from fmus.numerics import exp, logical_not, logical_or, where
+from fmus.numerics import exp
 
 EQUATIONS = """\
 z_1' = z_2 + 3 w_o (z - z_1)
 z_2' = z_3 + u_d / M + 3 w_o^2 (z - z_1)
 z_3' = w_o^3 (z - z_1)
 u    = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
-with feedback_filter   u = M (w_c^2 (r - z) + 2 w_c (r' - v) + r'' - z_3),   v of velocity_source
 """
 
 
 @dataclass(frozen=True)
-class Parameters(depth_interface.InertiaParameter, depth_interface.ObserverParameters):
+class Parameters(depth_interface.InertiaParameter, depth_interface.ActuatorParameters):
     control_bandwidth: float = variable(
         1.0,
         "w_c, both poles of the loop",
@@ -44,12 +43,6 @@ class Parameters(depth_interface.InertiaParameter, depth_interface.ObserverParam
         max=1e3,
         source="4 w_c; Gao (2003) takes 3 to 5 w_c",
     )
-    feedback_filter: bool = variable(
-        False,
-        "Feeds back the measured depth and the rate of velocity_source, as other laws do, not z_1 and z_2",
-        variability="fixed",
-        source="chosen: Gao (2003) feeds back z_1 and z_2",
-    )
 
 
 @dataclass(frozen=True)
@@ -63,10 +56,11 @@ class Estimate:
 
 @dataclass(frozen=True)
 class State:
-    """State of the controller; `interface.measured` has the rate that the law uses."""
+    """State of the controller; `measured` has the rate of the extended state observer."""
 
-    interface: DepthState = DepthState()
+    measured: DepthMeasurement = DepthMeasurement()
     estimate: Estimate = Estimate()
+    j: float = variable(1.0, "J = cos(roll) cos(pitch)", min=-1.0, max=1.0)
 
 
 @dataclass(frozen=True)
@@ -97,50 +91,35 @@ def observe(h: float, estimate: Estimate, depth: float, acceleration: float, ban
 def control(now: DepthMeasurement, estimate: Estimate, p: Parameters) -> float:
     """Returns u [N]."""
     bandwidth = p.control_bandwidth
-    depth = where(p.feedback_filter, now.depth, estimate.depth)
-    rate = where(p.feedback_filter, now.rate, estimate.rate)
     return p.model_inertia * (
-        bandwidth**2 * (now.reference - depth)
-        + 2.0 * bandwidth * (now.reference_rate - rate)
+        bandwidth**2 * (now.reference - estimate.depth)
+        + 2.0 * bandwidth * (now.reference_rate - estimate.rate)
         + now.reference_acceleration
         - estimate.disturbance
     )
 
 
-def requirements(p: Parameters, calculated: NoValues) -> tuple[tuple[bool, str], ...]:
-    (is_short, expected), *of_table = depth_interface.requirements(p, calculated)
-    return (logical_or(logical_not(p.feedback_filter), is_short), expected), *of_table
-
-
 def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
     """Returns the observer at rest on the first measurement, without a disturbance."""
     estimate = Estimate(inputs.measured_depth)
-    return State(_with_rate(depth_interface.first_state(t, inputs, p), estimate, p), estimate)
+    measured = depth_interface.measurement(inputs, estimate.rate)
+    return State(measured, estimate, depth_interface.body_to_earth(inputs))
 
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
     # the delivered force, not the demand: z_3 then does not wind up while the thrusters saturate
-    demanded = control(state.interface.measured, state.estimate, p)
-    delivered = depth_interface.deliver(demanded, state.interface.j, p)
+    delivered = depth_interface.deliver(control(state.measured, state.estimate, p), state.j, p)
     estimate = observe(
         h, state.estimate, inputs.measured_depth, delivered.force / p.model_inertia, p.observer_bandwidth
     )
-    interface = depth_interface.next_state(t, state.interface, inputs, p)
-    return State(_with_rate(interface, estimate, p), estimate)
-
-
-def _with_rate(interface: DepthState, estimate: Estimate, p: Parameters) -> DepthState:
-    """Returns the state of the interface with the depth rate that the law uses."""
-    measured = interface.measured
-    rate = where(p.feedback_filter, measured.rate, estimate.rate)
-    return replace(interface, measured=replace(measured, rate=rate))
+    measured = depth_interface.measurement(inputs, estimate.rate)
+    return State(measured, estimate, depth_interface.body_to_earth(inputs))
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
-    measured = state.interface.measured
-    u = control(measured, state.estimate, p)
+    u = control(state.measured, state.estimate, p)
     return Outputs(
-        **depth_interface.outputs(u, measured, state.interface.j, p),
+        **depth_interface.outputs(u, state.measured, state.j, p),
         estimated_depth=state.estimate.depth,
         estimated_disturbance=p.model_inertia * state.estimate.disturbance,
     )
@@ -151,12 +130,11 @@ GUIDE = shared_guide.depth_guide(
     tuning=(
         "Set control_bandwidth to the desired speed of the loop, then observer_bandwidth to 3 to 5 times it,"
         " if noise and lags of the loop allow.",
-        "With feedback_filter the law may be faster than the observer, whose noise then enters z_3 alone.",
         "model_inertia M is the only number of the vehicle's dynamics; b_0 = 1 / M in the literature.",
     ),
     limits=(
-        "Without feedback_filter the extended state observer replaces the alpha-beta observer: the law uses"
-        " measured_depth, not measured_depth_rate. estimated_depth_rate is its z_2.",
+        "The extended state observer replaces the alpha-beta observer: the law uses measured_depth, not"
+        " measured_depth_rate. estimated_depth_rate is its z_2.",
         "A step is exact for a held measurement, so it is stable for any step and any w_o.",
         "The observer gets the delivered force: its estimate z_3 of the disturbance does not wind up while"
         " the thrusters saturate.",
@@ -173,6 +151,7 @@ GUIDE = shared_guide.depth_guide(
             " Conference, 2003."
         ),
     ),
+    has_observer=False,
 )
 
 
@@ -180,4 +159,5 @@ BLOCK = depth_interface.depth_controller(
     __name__,
     "AdrcDepthController",
     "Active disturbance rejection depth controller with an extended state observer",
+    requirements=depth_interface.table_requirements,
 )

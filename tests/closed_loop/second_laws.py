@@ -9,7 +9,6 @@
                     g = s / (|s| + eps)
     ADRC            u = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
                     z_1' = z_2 + 3 w_o i,   z_2' = z_3 + u_d / M + 3 w_o^2 i,   z_3' = w_o^3 i,   i = y - z_1
-                    with a filter for the feedback: y and v in place of z_1 and z_2 in u
 
 y, v: measured depth and its rate, e = y - r, e' = v - r'; u_d: what the thrusters deliver. A law holds y, v,
 r, r' and r'' over a step, and its states go on by the Runge-Kutta method; f drives x_m as part of the control
@@ -176,9 +175,9 @@ class Adrc(HeldLaw):
         self.state = (case.first_reading, 0.0, 0.0)
 
     def control(self) -> float:
-        p, k, (*fed_back, z_3) = self.p, self.known, self.state
-        w, (y, v) = p["control_bandwidth"], (k.depth, k.rate) if p["feedback_filter"] else fed_back
-        acceleration = w * w * (k.reference - y) + 2.0 * w * (k.reference_rate - v)
+        p, k, (z_1, z_2, z_3) = self.p, self.known, self.state
+        w = p["control_bandwidth"]
+        acceleration = w * w * (k.reference - z_1) + 2.0 * w * (k.reference_rate - z_2)
         return p["model_inertia"] * (acceleration + k.reference_acceleration - z_3)
 
     def rates(self, state: State, now: Known, u: float, withheld: float) -> State:

@@ -12,6 +12,8 @@ from tests.closed_loop.second_loop import STILL, Heave, Water
 from tests.closed_loop.second_plane import Plane
 from tests.closed_loop.second_program import L1Case
 
+NO_OBSERVER = {"observer_period": 0.04, "observer_alpha": 0.0, "observer_beta": 0.0}  # of ours: ADRC
+
 
 def shipped_case(loaded: Scenario) -> L1Case:
     """The same experiment for the second program: numbers of the model descriptions and of the scenario."""
@@ -23,7 +25,7 @@ def shipped_case(loaded: Scenario) -> L1Case:
     )
     return L1Case(
         plant=values["plant"],
-        law=values["controller"],
+        law={**NO_OBSERVER, **values["controller"]},
         augmentation=str(given.get("controller.augmentation", "pi")),
         pitch_augmentation=str(given.get("controller.pitch_augmentation", "none")),
         priority=str(given.get("controller.priority", "heave")),

@@ -50,14 +50,6 @@ L1_FORMS: Mapping[str, Mapping[str, Any]] = {
         "controller.input_gain_regressor": "adaptive_control_and_extension",
     },
 }
-# PD feedback faster than the observer, which needs the filter
-ADRC = "AdrcDepthController"
-FILTERED = {
-    "controller.feedback_filter": True,
-    "controller.control_bandwidth": 2.0,
-    "controller.observer_bandwidth": 1.5,
-}
-FILTERED_ADRC = "ADRC with a filter"
 
 
 def loop_of(fmu: Path, settings: Mapping[str, Any], **layer: Any) -> Scenario:
@@ -91,19 +83,14 @@ def check(fmu: Path, settings: Mapping[str, Any]) -> None:
 @pytest.mark.parametrize("name", LAWS)
 def test_a_second_program_gives_the_figures_of_the_paper_trajectory(built: Fmus, name: str) -> None:
     """By the readings of the sensor, by true depth and rate, and by the reference without its rate."""
-    ideal = {**IDEAL, "controller.velocity_source": "measured"}
+    is_adrc = name == "AdrcDepthController"
+    ideal = IDEAL if is_adrc else {**IDEAL, "controller.velocity_source": "measured"}
     check(built[name], ROUNDED)
     check(built[name], ideal)
     check(built[name], SMOOTH | POSITION_ALONE)
 
 
-@pytest.mark.slow
-def test_a_second_program_gives_the_figures_of_filtered_adrc(built: Fmus) -> None:
-    for settings in (ROUNDED, {**IDEAL, "controller.velocity_source": "measured"}):
-        check(built[ADRC], {**settings, **FILTERED})
-
-
-@pytest.mark.parametrize("name", [*LAWS, *L1_FORMS, FILTERED_ADRC])
+@pytest.mark.parametrize("name", [*LAWS, *L1_FORMS])
 def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     built: Fmus, name: str
 ) -> None:
@@ -113,7 +100,7 @@ def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     The depths differ by 24 um at most; by 1 mm of MRAC, by the explicit step of its estimates.
     """
     assert built["RovDepthPlant"].is_file()
-    fmu = built[ADRC if name == FILTERED_ADRC else name if name in LAWS else L1]
+    fmu = built[name if name in LAWS else L1]
     volts = {f"plant.thruster_voltage_limit[{i}]": 3.0 for i in (1, 2)} | {"controller.voltage_limit": 3.0}
     wave = {"kind": "sine", "offset": 1.0, "amplitude": 0.2, "frequency": 0.08}
     signals = {
@@ -124,8 +111,7 @@ def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
         },
     }  # fmt: skip
     layer = {"signals": signals, "experiment": {"stop_time": 60.0}}
-    form = FILTERED if name == FILTERED_ADRC else L1_FORMS.get(name, {})
-    loaded = loop_of(fmu, {**SMOOTH, **volts, **form}, **layer)
+    loaded = loop_of(fmu, {**SMOOTH, **volts, **L1_FORMS.get(name, {})}, **layer)
     given = loaded.experiment.signals
     rates = [given[f"controller.depth_reference_{name}"] for name in ("rate", "acceleration")]
     case = replace(shipped_case(loaded), reference_rate=rates[0], reference_acceleration=rates[1])
@@ -133,7 +119,7 @@ def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     def of_l1(case: Any, step: float) -> Law:
         return law_of(case, step, LawStep.BETWEEN_MEASUREMENTS)
 
-    _, own, second, reference = depths(loaded, LAWS.get(fmu.stem, of_l1), case)
+    _, own, second, reference = depths(loaded, LAWS.get(name, of_l1), case)
     ours, theirs = (math.sqrt(np.mean((depth - reference) ** 2)) for depth in (own, second))
     assert ours == pytest.approx(theirs, rel=5e-4)
     apart = 2e-3 if name == "MracDepthController" else 5e-5

@@ -1,18 +1,15 @@
 """Active disturbance rejection: the observer's poles, its exact step, and what it does under saturation."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from controller_fmu.baselines.adrc import BLOCK, Estimate, Parameters, control, observe
-from controller_fmu.observer import VelocitySource
-from fmus.block.instance import BlockError
 from tests.controller_fmu.assumed_vehicle import DAMPING, INERTIA, at, closed_loop
 
-START = Parameters(velocity_source=VelocitySource.MEASURED)
+START = Parameters()
 
 
 def observer_matrix(w: float) -> np.ndarray:
@@ -60,47 +57,3 @@ def test_the_observer_does_not_learn_the_saturation() -> None:
     expected = 0.5 - DAMPING * loop.rate
     late = DAMPING * 0.4 * 3.0 / p.observer_bandwidth  # it follows the damping 3 / w_o s late, at 0.4 m/s2
     assert loop.outputs["estimated_disturbance"][saturated] == pytest.approx(expected[saturated], abs=late)
-
-
-def test_with_the_filter_a_slow_observer_leaves_the_loop_its_poles() -> None:
-    """Both at -w_c; the loop with z_1 and z_2 is far slower.
-
-    Depth and rate are exact here. What z_3 leaves of the damping's force D v, (s^3 + 3 w_o s^2 + 3 w_o^2 s)
-    / (s + w_o)^3 of it, is at most 1.29 times it. So M w_c^2 e is at most that of D v at 0.25 m/s.
-    """
-    p = replace(START, control_bandwidth=2.0, observer_bandwidth=0.2, voltage_limit=1e3)
-
-    def largest_error(is_filtered: bool) -> float:
-        loop = closed_loop(
-            BLOCK,
-            replace(p, feedback_filter=is_filtered),
-            h=2e-3,
-            stop_time=20.0,
-            reference=lambda t: (
-                0.5 * (1.0 - np.cos(0.5 * t)),
-                0.25 * np.sin(0.5 * t),
-                0.125 * np.cos(0.5 * t),
-            ),
-        )
-        return float(np.abs(loop.depth - 0.5 * (1.0 - np.cos(0.5 * loop.time))).max())
-
-    bound = 1.29 * DAMPING * 0.25 / (INERTIA * 4.0)
-    assert 0.5 * bound < largest_error(True) < bound
-    assert largest_error(False) > 3.0 * bound
-
-
-def test_without_the_filter_the_alpha_beta_observer_has_no_effect(driver: Any) -> None:
-    def forces(**values: Any) -> list[float]:
-        controller, found = driver(BLOCK, depth_reference=1.0, **values).begin(), list[float]()
-        for i in range(100):
-            controller["measured_depth"] = 0.01 * i
-            found.append(controller.step(0.02)["demanded_force"])
-        return found
-
-    others = {"observer_alpha": 0.9, "observer_beta": 0.5, "observer_period": 0.02}
-    assert forces(**others) == forces()
-    assert forces(feedback_filter=True, **others) != forces(feedback_filter=True)
-    # its period limits the step only where it is used
-    driver(BLOCK, internal_step=0.1).begin()
-    with pytest.raises(BlockError, match="internal_step at most observer_period"):
-        driver(BLOCK, internal_step=0.1, feedback_filter=True).begin()
