@@ -42,8 +42,13 @@ as that bound: nobody flies errors of centimetres for less.
 """
 LARGEST_ERROR = 4.35
 """RMSE [cm] of the point from which hypervolumes are measured: published, of the paper's L1 with PI."""
-ALSO_FREE = {"theta_bound[1]": (0.01, 100.0), "sigma_bound": (0.1, 100.0)}
-"""Bounds [N] of the unknown, free in all laws that adapt within them; `tune` leaves them as they are."""
+_BOUNDS = {"theta_bound[1]": (0.01, 100.0), "sigma_bound": (0.1, 100.0)}  # N, of the unknown
+ALSO_FREE = {
+    "adaptation_gain": _BOUNDS,
+    "estimate_gain": _BOUNDS,
+    "observer_bandwidth": {"disturbance_ratio": (0.01, 10.0)},
+}
+"""Gain of a law -> further ones, which are then free too; `tune` leaves them as they are."""
 _MOST_POINTS = 16  # of a front that is written: each is checked by some twenty runs
 _APART = 1000  # of the seeds of searches that follow one another
 _ANY = 1e12  # N, above every total variation: it is measured, and bounded by `bounded_cost`
@@ -125,15 +130,14 @@ def known_gains(protocol: Protocol, name: str, gains: Sequence[FreeParameter]) -
 
 
 def free_gains(protocol: Protocol, name: str) -> list[FreeParameter]:
-    """Returns the gains of a controller of the protocol, and bounds within which it adapts."""
+    """Returns the gains of a controller of the protocol, and those that are free with them."""
     table = protocol.controllers[name]
     gains = [FreeParameter(gain, range.low, range.high) for gain, range in table.gains.items()]
-    if table.gains.keys() & {"adaptation_gain", "estimate_gain"}:
-        known = {v.name for v in describe(built(table.fmu)).modelVariables}
-        # of two numbers or of one
-        names = {n.partition("[")[0] if n not in known else n: ends for n, ends in ALSO_FREE.items()}
-        gains += [FreeParameter(gain, *ends) for gain, ends in names.items()]
-    return gains
+    further = {n: ends for gain in table.gains for n, ends in ALSO_FREE.get(gain, {}).items()}
+    known = {v.name for v in describe(built(table.fmu)).modelVariables}
+    # a bound has two numbers or one
+    names = {n if n in known else n.partition("[")[0]: ends for n, ends in further.items()}
+    return [*gains, *(FreeParameter(gain, *ends) for gain, ends in names.items())]
 
 
 def front_of_law(

@@ -230,12 +230,13 @@ def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Pro
             assert carried[gain] == pytest.approx(float(own[gain]) * factor)
 
 
-def test_bounds_of_the_unknown_are_free_in_every_law_that_adapts_within_them(protocol: Protocol) -> None:
+def test_what_tune_leaves_is_free_in_every_law_that_has_it(protocol: Protocol) -> None:
     free = {name: {gain.name for gain in free_gains(protocol, name)} for name in protocol.controllers}
     for name, gains in free.items():
         adapts = name.startswith(("l1", "mrac")) and name != "l1-piecewise"
         assert ("sigma_bound" in gains) == adapts, name
         assert bool(gains & {"theta_bound", "theta_bound[1]"}) == adapts, name
+        assert ("disturbance_ratio" in gains) == name.startswith("adrc"), name
         assert gains >= protocol.controllers[name].gains.keys()
 
 
