@@ -85,7 +85,8 @@ def check(fmu: Path, settings: Mapping[str, Any]) -> None:
 @pytest.mark.parametrize("name", LAWS)
 def test_a_second_program_gives_the_figures_of_the_paper_trajectory(built: Fmus, name: str) -> None:
     """By the readings of the sensor, by true depth and rate, and by the reference without its rate."""
-    is_adrc = name == "AdrcDepthController"
+    assert built["RovDepthPlant"].is_file()
+    is_adrc = name == ADRC
     ideal = IDEAL if is_adrc else {**IDEAL, "controller.velocity_source": "measured"}
     check(built[name], ROUNDED)
     check(built[name], ideal)
@@ -94,6 +95,7 @@ def test_a_second_program_gives_the_figures_of_the_paper_trajectory(built: Fmus,
 
 @pytest.mark.slow
 def test_a_second_program_gives_the_figures_of_an_observer_with_two_speeds(built: Fmus) -> None:
+    assert built["RovDepthPlant"].is_file()
     for settings in (ROUNDED, IDEAL):
         check(built[ADRC], {**settings, **TWO_SPEEDS})
 
