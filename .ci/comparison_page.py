@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import comparison_fronts
-import fronts as searched
 import numpy as np
+from front_points import front_figure
 from jinja2 import Environment, StrictUndefined
 
 from orchestration.results.formats import FigureFormat
@@ -309,7 +309,7 @@ def figures(folder: Path) -> list[Path]:
     runs = folder / "figure_comparison.png"
     runs.write_bytes(figure(committed()))
     laws = {document["vehicle"]: document["laws"] for document in comparison_fronts.committed().documents}
-    return [runs, *searched.front_figure(laws, folder / "figure_fronts", [FigureFormat.SVG])]
+    return [runs, *front_figure(laws, folder / "figure_fronts", [FigureFormat.SVG])]
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -182,13 +182,21 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 
 
 def crossings(t: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> tuple:
-    return (*surface_crossings(state.depth, inputs, p), *thruster.ventilation_crossings(state.depth, p))
+    of_thrusters = thruster_crossings(state.thruster_force, state.steady_force, inputs, p)
+    ventilation = thruster.ventilation_crossings(state.depth, p)
+    return (*surface_crossings(state.depth, inputs, p), *ventilation, *of_thrusters)
 
 
 def surface_crossings(z: float, inputs: Surroundings, p: Parameters) -> tuple[float, float]:
     """Returns the heights [m] until the vehicle begins to emerge, and until it has left the water."""
     submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
     return z, z + heave.height(submerged_buoyancy, p.water_density, p.waterplane_area)
+
+
+def thruster_crossings(forces: Pair, steady: Pair, inputs: Surroundings, p: Parameters) -> tuple[float, ...]:
+    """Returns the event indicators of both thrusters, from their forces behind limit and lag [N]."""
+    of_each = (thruster.corners(p, i, inputs.voltage[i], forces[i], steady[i]) for i in (0, 1))
+    return tuple(corner for corners in of_each for corner in corners)
 
 
 def steady_forces(inputs: Surroundings, p: Parameters) -> Pair:

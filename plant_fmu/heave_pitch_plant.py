@@ -216,7 +216,8 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 def crossings(t: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> tuple:
     depths = (heave_pitch.depth_at(state.depth, state.pitch, lever) for lever in p.thruster_lever)
     of_propellers = [crossing for depth in depths for crossing in thruster.ventilation_crossings(depth, p)]
-    return (*depth_plant.surface_crossings(state.depth, inputs, p), *of_propellers)
+    of_thrusters = depth_plant.thruster_crossings(state.lagged_force, state.steady_force, inputs, p)
+    return (*depth_plant.surface_crossings(state.depth, inputs, p), *of_propellers, *of_thrusters)
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:

@@ -22,6 +22,7 @@ curves that depend on the load, too: Kozlowska et al., Time domain modeling of p
 ventilation in static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -37,6 +38,7 @@ from fmus.numerics import (
     maximum,
     power,
     sign,
+    sin,
     sqrt,
     where,
 )
@@ -204,6 +206,49 @@ def steady_force(p: ThrusterParameters, i: int, voltage: float, efficiency: floa
     points = p.thruster_table_voltage, p.thruster_table_force
     force_or_voltage = where(follows_table, lambda: interp(saturated, *points), linear)
     return efficiency * factor * force_or_voltage
+
+
+def corners(
+    p: ThrusterParameters, i: int, voltage: float, force: float, steady: float
+) -> tuple[float, float, float, float]:
+    """Returns event indicators: numbers that change their signs at corners of the force of a thruster.
+
+    Parameters
+    ----------
+    p : ThrusterParameters
+    i : {0, 1}
+        Index of the thruster.
+    voltage : float
+        Voltage [V].
+    force, steady : float
+        Force behind limit and lag, and steady force of the voltage [N].
+
+    Returns
+    -------
+    tuple of four floats
+        Of the saturation [V]; of the points of a table, or the dead zone's end and reverse gain [V]; of the
+        dead zone's other end [V]; of the limit of the force's rate [N]. Each is 1 without such a corner.
+    """
+    zone, ratio = p.thruster_dead_zone[i], p.thruster_reverse_ratio[i]
+    has_zone, is_real = zone > 0.0, logical_not(p.thruster_ideal)
+    follows_table = logical_and(is_real, p.thruster_tabulated)
+    follows_curve = logical_and(is_real, logical_not(p.thruster_tabulated))
+    has_end = logical_and(follows_curve, logical_or(has_zone, ratio != 1.0))
+    points = p.thruster_table_voltage
+
+    def at_points() -> float:
+        outside = clip(voltage - clip(voltage, points[0], points[-1]), -0.5, 0.5)
+        # the place among the points, up to half a point outside: its sine changes its sign at each point
+        return sin(math.pi * (interp(voltage, points, tuple(map(float, range(len(points))))) + outside))
+
+    rate, lag = p.thruster_rate_limit[i], maximum(p.thruster_lag[i], _SHORTEST_LAG)
+    is_limited = logical_and(is_real, rate > _LEAST_RATE)
+    return (
+        where(is_real, p.thruster_voltage_limit[i] - absolute(voltage), 1.0),
+        where(follows_table, at_points, where(has_end, voltage - zone, 1.0)),
+        where(logical_and(follows_curve, has_zone), voltage + zone, 1.0),
+        where(is_limited, absolute(force - steady) - rate * lag, 1.0),
+    )
 
 
 def table_ascends(p: ThrusterParameters) -> tuple:

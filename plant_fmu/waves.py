@@ -86,17 +86,21 @@ def regular_wave(amplitude: float, period: float, phase: float) -> Components:
     return Components((amplitude, *others), frequencies, numbers, (phase, *others))
 
 
-def jonswap_sea(significant_height: float, peak_period: float, gamma: float, seed: int) -> Components:
+def jonswap_sea(
+    significant_height: float, peak_period: float, gamma: float, seed: int, has_rayleigh_amplitudes: bool
+) -> Components:
     """Returns an irregular sea with the JONSWAP spectrum, x = w / w_p:
 
         S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),   s = 0.07 for x <= 1, 0.09 above
 
     From LOWEST to HIGHEST, as many bands as components have equal shares of the variance for gamma = 1. The
     seed draws a frequency in each band and a phase. Amplitudes follow from the spectrum at the frequencies:
-    the variance is (significant_height / 4)^2 for every seed.
+    the variance is (significant_height / 4)^2 for every seed. Rayleigh amplitudes are drawn about these, with
+    the same mean square, and the elevation is then a sample of a Gaussian process. So the variance scatters
+    from seed to seed, as it does between records of one sea; its mean stays.
 
     seed: 1 or more, below 2^31
-    Source: Hasselmann et al. (1973), JONSWAP.
+    Source: Hasselmann et al. (1973), JONSWAP; Tucker, Challenor and Carter (1984), Rayleigh amplitudes.
     """
     first, last = (math.exp(-1.25 * x**-4.0) for x in (LOWEST, HIGHEST))
     seeds = scrambled(seed + _OTHER_SEEDS)
@@ -110,10 +114,18 @@ def jonswap_sea(significant_height: float, peak_period: float, gamma: float, see
         weights.append(exp(log(gamma) * exp(-((ratio - 1.0) ** 2) / (2.0 * width**2))))
         ratios.append(ratio)
         phases.append(2.0 * math.pi * v)
+    factors = []
+    for _ in range(COMPONENTS):
+        u, *seeds = uniform(*seeds)
+        # the square of an amplitude with a Rayleigh distribution is exponential
+        factors.append(where(has_rayleigh_amplitudes, sqrt(-log(u)), 1.0))
     total = matmul((1.0,) * COMPONENTS, tuple(weights))
     frequencies = tuple(2.0 * math.pi / peak_period * ratio for ratio in ratios)
     return Components(
-        tuple(significant_height / 4.0 * sqrt(2.0 * weight / total) for weight in weights),
+        tuple(
+            significant_height / 4.0 * sqrt(2.0 * weight / total) * factor
+            for weight, factor in zip(weights, factors, strict=True)
+        ),
         frequencies,
         tuple(w * w / GRAVITY for w in frequencies),
         tuple(phases),

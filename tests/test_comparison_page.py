@@ -34,7 +34,8 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / ".ci"))
 import comparison_fronts  # noqa: E402  # pyright: ignore[reportMissingImports]
 import comparison_page  # noqa: E402  # pyright: ignore[reportMissingImports]
-from fronts import SPECIAL_CASES, is_converged  # noqa: E402  # pyright: ignore[reportMissingImports]
+from front_points import is_converged  # noqa: E402  # pyright: ignore[reportMissingImports]
+from fronts import SPECIAL_CASES  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 EXPLANATION = ROOT / "docs" / "explanation"

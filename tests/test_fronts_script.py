@@ -1,4 +1,4 @@
-"""Tests of `.ci/fronts.py`: known fronts and their areas, members of a front, a search that continues."""
+"""Tests of `.ci/fronts.py` and its parts: known fronts and their areas, a front, a search that continues."""
 
 import json
 import math
@@ -23,24 +23,25 @@ from orchestration.studies.score.tune_problem import LARGEST, problem_of
 from orchestration.studies.vehicle import Vehicle
 
 sys.path.insert(0, str(Path(__file__).parent.parent / ".ci"))
-from fronts import (  # pyright: ignore[reportMissingImports]
-    LEVELS,
-    SPECIAL_CASES,
+from front_points import (  # pyright: ignore[reportMissingImports]
     Point,
-    application,
     bounded_cost,
-    free_gains,
-    front_of_law,
     hypervolume,
     is_converged,
-    known_gains,
     least_errors,
     nondominated,
     points_of,
-    search_fronts,
     spread,
     with_margin,
 )
+from front_search import (  # pyright: ignore[reportMissingImports]
+    LEVELS,
+    free_gains,
+    front_of_law,
+    known_gains,
+    search_fronts,
+)
+from fronts import SPECIAL_CASES, application  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 REFERENCE = Point(10.0, 1000.0)
@@ -229,12 +230,13 @@ def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Pro
             assert carried[gain] == pytest.approx(float(own[gain]) * factor)
 
 
-def test_bounds_of_the_unknown_are_free_in_every_law_that_adapts_within_them(protocol: Protocol) -> None:
+def test_what_tune_leaves_is_free_in_every_law_that_has_it(protocol: Protocol) -> None:
     free = {name: {gain.name for gain in free_gains(protocol, name)} for name in protocol.controllers}
     for name, gains in free.items():
         adapts = name.startswith(("l1", "mrac")) and name != "l1-piecewise"
         assert ("sigma_bound" in gains) == adapts, name
         assert bool(gains & {"theta_bound", "theta_bound[1]"}) == adapts, name
+        assert ("disturbance_ratio" in gains) == name.startswith("adrc"), name
         assert gains >= protocol.controllers[name].gains.keys()
 
 

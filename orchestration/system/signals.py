@@ -490,6 +490,7 @@ def spectrum(
     components: int = 100,
     seed: int = 1,
     offset: float = 0.0,
+    rayleigh_amplitudes: bool = False,
 ) -> Sines:
     """Returns a sum of sines with the JONSWAP spectrum and random phases, about `offset`.
 
@@ -511,6 +512,9 @@ def spectrum(
         Seed of the phases and of the frequencies within their bands, 0 or more.
     offset : float
         Mean, in the unit of the input.
+    rayleigh_amplitudes : bool
+        Whether the amplitudes are drawn, with a Rayleigh distribution of the same mean square: the variance
+        then scatters from seed to seed (Tucker, Challenor and Carter, Applied Ocean Research 6(2), 1984).
 
     Returns
     -------
@@ -528,11 +532,14 @@ def spectrum(
     0.0625
     """
     _check_spectrum(standard_deviation, peak_period, gamma, components, seed)
-    random = np.random.default_rng(seed).random((2, components))
+    random = np.random.default_rng(seed).random((3, components))
     band = (_HIGHEST - _LOWEST) / components
     ratio = _LOWEST + band * (np.arange(components) + random[0])
     density = jonswap(ratio, gamma)
     amplitudes = standard_deviation * np.sqrt(2.0 * density / density.sum())
+    if rayleigh_amplitudes:
+        # the square of an amplitude with a Rayleigh distribution is exponential
+        amplitudes *= np.sqrt(-np.log1p(-random[2]))
     return Sines(amplitudes, 2.0 * np.pi / peak_period * ratio, 2.0 * np.pi * random[1], offset)
 
 

@@ -8,7 +8,8 @@
     super-twisting  u = M (r'' - l e') + D v - k_1 sqrt|s| g + nu,   nu' = -k_2 g,   s = e' + l e
                     g = s / (|s| + eps)
     ADRC            u = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
-                    z_1' = z_2 + 3 w_o i,   z_2' = z_3 + u_d / M + 3 w_o^2 i,   z_3' = w_o^3 i,   i = y - z_1
+                    z_1' = z_2 + l_1 i,   z_2' = z_3 + u_d / M + l_2 i,   z_3' = l_3 i,   i = y - z_1
+                    l of (s + w_o)^2 (s + q w_o)
 
 y, v: measured depth and its rate, e = y - r, e' = v - r'; u_d: what the thrusters deliver. A law holds y, v,
 r, r' and r'' over a step, and its states go on by the Runge-Kutta method; f drives x_m as part of the control
@@ -184,11 +185,9 @@ class Adrc(HeldLaw):
         z_1, z_2, z_3 = state
         w, innovation = self.p["observer_bandwidth"], now.depth - z_1
         acceleration = (u + withheld) / self.p["model_inertia"]
-        return (
-            z_2 + 3.0 * w * innovation,
-            z_3 + acceleration + 3.0 * w**2 * innovation,
-            w**3 * innovation,
-        )
+        _, *gains = np.poly([-w, -w, -w * self.p["disturbance_ratio"]]).tolist()
+        by_innovation = [gain * innovation for gain in gains]
+        return (z_2 + by_innovation[0], z_3 + acceleration + by_innovation[1], by_innovation[2])
 
 
 LAWS: Mapping[str, type[HeldLaw]] = {

@@ -50,6 +50,8 @@ L1_FORMS: Mapping[str, Mapping[str, Any]] = {
         "controller.input_gain_regressor": "adaptive_control_and_extension",
     },
 }
+ADRC = "AdrcDepthController"
+TWO_SPEEDS = {"controller.observer_bandwidth": 6.0, "controller.disturbance_ratio": 0.2}
 
 
 def loop_of(fmu: Path, settings: Mapping[str, Any], **layer: Any) -> Scenario:
@@ -83,14 +85,22 @@ def check(fmu: Path, settings: Mapping[str, Any]) -> None:
 @pytest.mark.parametrize("name", LAWS)
 def test_a_second_program_gives_the_figures_of_the_paper_trajectory(built: Fmus, name: str) -> None:
     """By the readings of the sensor, by true depth and rate, and by the reference without its rate."""
-    is_adrc = name == "AdrcDepthController"
+    assert built["RovDepthPlant"].is_file()
+    is_adrc = name == ADRC
     ideal = IDEAL if is_adrc else {**IDEAL, "controller.velocity_source": "measured"}
     check(built[name], ROUNDED)
     check(built[name], ideal)
     check(built[name], SMOOTH | POSITION_ALONE)
 
 
-@pytest.mark.parametrize("name", [*LAWS, *L1_FORMS])
+@pytest.mark.slow
+def test_a_second_program_gives_the_figures_of_an_observer_with_two_speeds(built: Fmus) -> None:
+    assert built["RovDepthPlant"].is_file()
+    for settings in (ROUNDED, IDEAL):
+        check(built[ADRC], {**settings, **TWO_SPEEDS})
+
+
+@pytest.mark.parametrize("name", [*LAWS, *L1_FORMS, "two speeds"])
 def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     built: Fmus, name: str
 ) -> None:
@@ -100,7 +110,8 @@ def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     The depths differ by 24 um at most; by 1 mm of MRAC, by the explicit step of its estimates.
     """
     assert built["RovDepthPlant"].is_file()
-    fmu = built[name if name in LAWS else L1]
+    forms = {**L1_FORMS, "two speeds": TWO_SPEEDS}
+    fmu = built[name if name in LAWS else L1 if name in L1_FORMS else ADRC]
     volts = {f"plant.thruster_voltage_limit[{i}]": 3.0 for i in (1, 2)} | {"controller.voltage_limit": 3.0}
     wave = {"kind": "sine", "offset": 1.0, "amplitude": 0.2, "frequency": 0.08}
     signals = {
@@ -111,7 +122,7 @@ def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
         },
     }  # fmt: skip
     layer = {"signals": signals, "experiment": {"stop_time": 60.0}}
-    loaded = loop_of(fmu, {**SMOOTH, **volts, **L1_FORMS.get(name, {})}, **layer)
+    loaded = loop_of(fmu, {**SMOOTH, **volts, **forms.get(name, {})}, **layer)
     given = loaded.experiment.signals
     rates = [given[f"controller.depth_reference_{name}"] for name in ("rate", "acceleration")]
     case = replace(shipped_case(loaded), reference_rate=rates[0], reference_acceleration=rates[1])
@@ -119,7 +130,7 @@ def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     def of_l1(case: Any, step: float) -> Law:
         return law_of(case, step, LawStep.BETWEEN_MEASUREMENTS)
 
-    _, own, second, reference = depths(loaded, LAWS.get(name, of_l1), case)
+    _, own, second, reference = depths(loaded, LAWS.get(fmu.stem, of_l1), case)
     ours, theirs = (math.sqrt(np.mean((depth - reference) ** 2)) for depth in (own, second))
     assert ours == pytest.approx(theirs, rel=5e-4)
     apart = 2e-3 if name == "MracDepthController" else 5e-5

@@ -38,7 +38,7 @@ def in_waves(amplitude: float, joined: tuple[str, ...], sea: bool = False, **pla
     It begins with the velocity of the water.
     """
     height = 4.0 * amplitude / math.sqrt(2.0)
-    drawn = waves.jonswap_sea(height, 5.0, 3.3, 1) if sea else waves.regular_wave(amplitude, 5.0, 0.7)
+    drawn = waves.jonswap_sea(height, 5.0, 3.3, 1, False) if sea else waves.regular_wave(amplitude, 5.0, 0.7)
     velocity = waves.water_motion(0.0, DEPTH, drawn).wave_velocity if "wave_velocity" in joined else 0.0
     chosen = {"kind": "jonswap" if sea else "regular", "wave_amplitude": amplitude, "start_phase": 0.7}
     parameters = {f"waves.{name}": value for name, value in (chosen | {"significant_height": height}).items()}

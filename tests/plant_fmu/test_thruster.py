@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from plant_fmu.thruster import (
     T200_FORCE,
     T200_VOLTAGE,
     ThrusterParameters,
+    corners,
     force_after,
     steady_force,
     submerged_share,
@@ -179,3 +180,49 @@ def test_a_table_takes_the_place_of_the_curve_alone() -> None:
     assert steady_force(changed(T200, voltage_limit=3.0), 0, 12.0, 1.0) == steady_force(T200, 0, 3.0, 1.0)
     assert force_after(T200, 0, 0.0, 1.0, 0.1) == pytest.approx(1.0 - math.exp(-1.0))
     assert steady_force(changed(T200, ideal=True), 0, 8.0, 1.0) == 0.25 * 8.0
+
+
+# dead zone, saturation and reverse; a reverse gain alone; a table, saturated within its points and not
+WITH_CORNERS = {
+    "curve": (changed(REAL, reverse_ratio=0.8, voltage_limit=6.0), [-6.0, -0.5, 0.5, 6.0]),
+    "reverse": (changed(ThrusterParameters(), reverse_ratio=0.8), [-12.0, 0.0, 12.0]),
+    "table": (
+        changed(ThrusterParameters(), tabulated=True, voltage_limit=15.0),
+        [-15.0, *T200_VOLTAGE, 15.0],
+    ),
+    "line": (ThrusterParameters(), [-12.0, 12.0]),
+    "ideal": (changed(REAL, ideal=True, tabulated=True), []),
+}
+
+
+@pytest.mark.parametrize(("p", "expected"), WITH_CORNERS.values(), ids=WITH_CORNERS)
+def test_an_indicator_changes_its_sign_at_each_corner_of_the_force(
+    p: ThrusterParameters, expected: list[float]
+) -> None:
+    """And nowhere else: the voltages of the grid are no corners, which lie at least 0.12 V apart."""
+    voltages = np.arange(-16.0, 16.0, 0.01) + 0.005
+    signs = np.sign([corners(p, 0, float(voltage), 0.0, 0.0) for voltage in voltages])
+    changes = voltages[:-1][(signs[1:] != signs[:-1]).any(axis=1)]
+    assert changes + 0.005 == pytest.approx(expected, abs=1e-9)
+    assert np.abs(signs).min() == 1.0
+
+
+@pytest.mark.parametrize("p", [p for p, _ in WITH_CORNERS.values()], ids=WITH_CORNERS)
+@given(st.floats(-16.0, 16.0), st.floats(0.0, 0.1))
+def test_without_a_change_of_sign_the_force_is_straight(
+    p: ThrusterParameters, voltage: float, width: float
+) -> None:
+    ends = voltage, voltage + width
+    before, after = (np.sign(corners(p, 0, end, 0.0, 0.0)) for end in ends)
+    assume((before == after).all())
+    low, high, middle = (steady_force(p, 0, v, 1.0) for v in (*ends, voltage + 0.5 * width))
+    assert middle == pytest.approx(0.5 * (low + high), abs=1e-12)
+
+
+@given(st.floats(-4.0, 4.0), st.floats(-3.0, 3.0))
+def test_an_indicator_changes_its_sign_where_the_limit_of_the_rate_ends(force: float, steady: float) -> None:
+    """At R T from the steady force, from where the lag alone is slower."""
+    p = changed(REAL, rate_limit=2.0, lag=0.5)
+    *_, limited = corners(p, 0, 1.0, force, steady)
+    assert (limited > 0.0) == (abs(force - steady) > 1.0)
+    assert corners(REAL, 0, 1.0, force, steady)[-1] == 1.0

@@ -12,31 +12,38 @@ from tests.controller_fmu.assumed_vehicle import DAMPING, INERTIA, at, closed_lo
 START = Parameters()
 
 
-def observer_matrix(w: float) -> np.ndarray:
+def observer_matrix(w: float, q: float = 1.0) -> np.ndarray:
     """Of the estimate, the measurement and the known acceleration: the equations of Gao (2003)."""
     a = np.zeros((5, 5))
     a[0, 1] = a[1, 2] = a[1, 4] = 1.0
-    gains = np.array([3.0 * w, 3.0 * w**2, w**3])
+    gains = np.poly([-w, -w, -q * w])[1:]
     a[:3, 0], a[:3, 3] = -gains, gains
     return a
 
 
+# around the ratios beyond which the exponential is no longer summed, and far from 1
+RATIOS = [1.0, 0.1, 1.0 - 1e-6, 1.0 + 1e-3, 5.0]
+
+
+@pytest.mark.parametrize("q", RATIOS)
 @pytest.mark.parametrize("w", [0.5, 4.0, 50.0])
-def test_the_observer_has_three_poles_at_its_bandwidth(w: float) -> None:
-    """From the step itself: its matrix has the eigenvalue e^(-w h) three times."""
+def test_the_observer_has_two_poles_at_its_bandwidth_and_one_at_its_ratio(w: float, q: float) -> None:
+    """From the step itself: its matrix has the eigenvalues e^(-w h), e^(-w h) and e^(-q w h)."""
     h = 0.02
-    columns = [observe(h, Estimate(*unit), 0.0, 0.0, w) for unit in np.eye(3)]
+    columns = [observe(h, Estimate(*unit), 0.0, 0.0, w, q) for unit in np.eye(3)]
     matrix = np.array([list(vars(column).values()) for column in columns]).T
-    assert np.poly(matrix) == pytest.approx(np.poly([np.exp(-w * h)] * 3), rel=1e-9)
-    assert np.poly(observer_matrix(w)[:3, :3]) == pytest.approx(np.poly([-w] * 3), rel=1e-9)
+    assert np.poly(matrix) == pytest.approx(np.poly(np.exp([-w * h, -w * h, -q * w * h])), rel=1e-9)
+    assert np.poly(observer_matrix(w, q)[:3, :3]) == pytest.approx(np.poly([-w, -w, -q * w]), rel=1e-9)
 
 
+@pytest.mark.parametrize("q", RATIOS)
 @pytest.mark.parametrize("h", [1e-4, 0.02, 0.5, 10.0])
 @pytest.mark.parametrize("w", [0.5, 4.0, 50.0])
-def test_a_step_of_the_observer_is_exact_whatever_its_length(w: float, h: float) -> None:
+def test_a_step_of_the_observer_is_exact_whatever_its_length(w: float, h: float, q: float) -> None:
     start = np.array([0.3, -0.2, 0.5, 0.8, -0.4])
-    expected = (expm(observer_matrix(w) * h) @ start)[:3] if w * h < 100.0 else [0.8, 0.0, 0.4]
-    after = observe(h, Estimate(*start[:3]), start[3], start[4], w)
+    is_over = min(q, 1.0) * w * h >= 50.0  # e^-50 of the start is left, times powers of w
+    expected = [0.8, 0.0, 0.4] if is_over else (expm(observer_matrix(w, q) * h) @ start)[:3]
+    after = observe(h, Estimate(*start[:3]), start[3], start[4], w, q)
     assert list(vars(after).values()) == pytest.approx(list(expected), rel=1e-6, abs=1e-9)
 
 

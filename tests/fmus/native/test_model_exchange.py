@@ -206,6 +206,43 @@ def test_co_simulation_of_a_vehicle_converges_to_model_exchange(
     assert math.log2(error(h) / error(h / 2)) == pytest.approx(4, abs=0.25)
 
 
+RAMPS = {
+    # voltage at 0 and 2 s; parameters; expected times [s]
+    "dead zone": ((-2.13, 1.87), {"thruster_dead_zone": 0.5}, [0.815, 1.315]),
+    "saturation": ((5.07, 9.07), {"thruster_voltage_limit": 6.0}, [0.465]),
+    "reverse": ((-1.05, 2.95), {"thruster_reverse_ratio": 0.8}, [0.525]),
+    "table": ((1.03, 3.03), {"thruster_tabulated": True}, [0.17, 1.37]),
+    # from 0 N to 2 N at 2 N/s; from 0.94 N on the lag of 0.53 s alone is slower
+    "rate limit": ((8.0, 8.0), {"thruster_rate_limit": 2.0, "thruster_lag": 0.53}, [0.47]),
+}
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("corner", RAMPS)
+def test_an_importer_locates_corners_of_a_thruster(
+    built: Fmus, fmi3_built: Fmus, corner: str, fmi: int
+) -> None:
+    """FMPy's CVode, between its outputs; below the surface, which has events of its own."""
+    ends, values, expected = RAMPS[corner]
+    start: dict[str, Any] = {"initial_depth": 5.0, "sensor_ideal": True, "sensor_period": 10.0}
+    for name, value in values.items():
+        if fmi == 3 and not isinstance(value, bool):
+            start[name] = [value, value]
+        else:
+            start[name if isinstance(value, bool) else f"{name}[1]"] = value
+    column, shown = (
+        (("voltage[1]", float), ends) if fmi == 2 else (("voltage", float, 2), [(v, v) for v in ends])
+    )
+    signal = np.array([*zip((0.0, 2.0), shown, strict=True)], dtype=[("time", float), column])
+    options: Any = {"output_interval": 0.1, "input": signal, "start_values": start}
+    path = str((built if fmi == 2 else fmi3_built)["RovDepthPlant"])
+    result: Any = fmpy.simulate_fmu(path, fmi_type="ModelExchange", stop_time=2.0, **options)
+    times = np.unique(result["time"])
+    located = times[np.abs(10.0 * times - np.round(10.0 * times)) > 1e-6]
+    # the end of the rate depends on a state, with an error of some tolerances of the solver, 1e-5
+    assert located == pytest.approx(expected, abs=1e-4 if corner == "rate limit" else 1e-9)
+
+
 @pytest.mark.parametrize("name", one_of_a_kind(CONTROLLERS))
 def test_a_block_without_derivative_samples_as_co_simulation_steps(
     built: Fmus, exchange: Exchange, load: Any, name: str

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.signal import welch
+from scipy.stats import kstest
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signals import Constant, Cosine, Ramps, Table, jonswap, sine, spectrum, sum_of_sines
@@ -163,6 +164,23 @@ def test_every_seed_has_the_same_variance_which_a_long_record_shows(seed: int) -
     record = waves.at(np.arange(0.0, 20_000.0, 0.25))
     assert record.std() == pytest.approx(0.7, rel=0.01)  # neighbours beat in about 5 / 0.035 = 140 s
     assert record.mean() == pytest.approx(0.2, abs=1e-3)
+
+
+def test_rayleigh_amplitudes_scatter_the_variance_from_seed_to_seed() -> None:
+    """The squares are exponential: with shares s_i the variance scatters by sum s_i^2 about the same mean.
+
+    2000 seeds: bounds are four standard deviations, of the mean and (4 %) of the variance of a sample.
+    """
+    seas = [
+        [np.asarray(spectrum(1.0, 5.0, components=50, seed=seed, rayleigh_amplitudes=is_drawn).amplitudes)]
+        for seed in range(2000)
+        for is_drawn in (False, True)
+    ]
+    fixed, drawn = (0.5 * np.concatenate(seas[i::2]) ** 2 for i in (0, 1))
+    expected = (fixed**2).sum(axis=1).mean()
+    assert kstest((drawn / fixed).ravel(), "expon").pvalue > 1e-3
+    assert drawn.sum(axis=1).mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(expected / 2000.0))
+    assert drawn.sum(axis=1).var() == pytest.approx(expected, rel=0.16)
 
 
 def test_the_spectrum_of_a_long_record_is_jonswap() -> None:
