@@ -7,7 +7,7 @@ each expression keep CasADi's order, so the results are the same bit for bit.
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import takewhile
@@ -102,21 +102,7 @@ def places_of(function: casadi.Function, others: Sequence[casadi.SX]) -> dict[in
 
     Numbers are compared at one arbitrary point of the symbols.
     """
-    terms: list[casadi.SX] = []
-    held: dict[int, casadi.SX] = {}
-    for i in range(function.n_instructions()):
-        code, used = function.instruction_id(i), function.instruction_input(i)
-        if code == casadi.OP_OUTPUT:
-            continue
-        if code == casadi.OP_INPUT:
-            term = function.sx_in()[used[0]][used[1]]
-        elif code == casadi.OP_CONST:
-            term = casadi.SX(function.instruction_constant(i))
-        else:
-            apply = casadi.SX.unary if len(used) == 1 else casadi.SX.binary
-            term = apply(code, *(held[number] for number in used))
-        held[function.instruction_output(i)[0]] = term
-        terms.append(term)
+    terms, _ = _terms(function, function.sx_in())
     results = casadi.vertcat(*terms, *others)
     symbols = casadi.vertcat(*casadi.symvar(results))
     values = casadi.Function("values", [symbols], [results])
@@ -124,6 +110,43 @@ def places_of(function: casadi.Function, others: Sequence[casadi.SX]) -> dict[in
     numbers = values(point).full().ravel().tolist()
     places = {number: place for place, number in enumerate(numbers[len(terms) :])}
     return {i: places[number] for i, number in enumerate(numbers[: len(terms)]) if number in places}
+
+
+def with_roundings(function: casadi.Function) -> casadi.Function:
+    """Returns a function whose last argument has a relative rounding error for each operation.
+
+    Whole numbers have none: sums and products of random generators, clocks and conditions are exact.
+    """
+    errors = casadi.SX.sym("errors", function.n_instructions())
+    arguments = function.sx_in()
+    _, results = _terms(function, arguments, lambda i, x: x + x * errors[i] * (x != casadi.floor(x)))
+    return casadi.Function(function.name(), [*arguments, errors], [casadi.vertcat(*results)])
+
+
+def _terms(
+    function: casadi.Function,
+    arguments: Sequence[casadi.SX],
+    rounded: Callable[[int, casadi.SX], casadi.SX] = lambda i, x: x,
+) -> tuple[list[casadi.SX], list[casadi.SX]]:
+    """Returns the number of each operation, and the results; rounded: what follows an instruction."""
+    terms: list[casadi.SX] = []
+    results: list[casadi.SX] = []
+    held: dict[int, casadi.SX] = {}  # place in CasADi's memory -> number
+    for i in range(function.n_instructions()):
+        code, used = function.instruction_id(i), function.instruction_input(i)
+        if code == casadi.OP_OUTPUT:
+            results.append(held[used[0]])
+            continue
+        if code == casadi.OP_INPUT:
+            term = arguments[used[0]][used[1]]
+        elif code == casadi.OP_CONST:
+            term = casadi.SX(function.instruction_constant(i))
+        else:
+            apply = casadi.SX.unary if len(used) == 1 else casadi.SX.binary
+            term = rounded(i, apply(code, *(held[number] for number in used)))
+        held[function.instruction_output(i)[0]] = term
+        terms.append(term)
+    return terms, results
 
 
 def follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:

@@ -3,6 +3,7 @@
 import math
 import random
 from collections import Counter
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Any
 
@@ -12,7 +13,6 @@ from fmus.block.variables import BlockVariable
 
 # both signs, and halves, whose rounding differs between functions
 _SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)
-_ULP = 2.0**-52
 # A longer vector counts as a table, whose order the requirements of a block ask for.
 _LONGEST_VECTOR = 9
 # share of the states with declared limits that are drawn anywhere between them, and not near the state
@@ -40,6 +40,25 @@ def drawn(block: Block, causality: str, template: type, changed: float, rng: ran
         return _draw(v, rng) if is_choice or rng.random() < changed else v.start
 
     return unflatten(template, list(map(value, variables)))
+
+
+def permitted(block: Block, parameters: Any, holds: Callable[[Any], bool]) -> Any:
+    """Returns parameters with start values in place of those that break the requirements.
+
+    holds: whether parameters meet the requirements
+    """
+    values = flatten(parameters)
+
+    def added(kept: list[Any], first: int, last: int) -> list[Any]:
+        """Returns the kept values with as many of `values` in first..last as the requirements permit."""
+        trial = [*kept[:first], *values[first:last], *kept[last:]]
+        if trial == kept or holds(unflatten(parameters, trial)):
+            return trial
+        middle = (first + last) // 2
+        return added(added(kept, first, middle), middle, last) if last - first > 1 else kept
+
+    starts = [v.cast(v.start) for v in block.of_causality("parameter")]
+    return unflatten(parameters, added(starts, 0, len(values)))
 
 
 def _vector(v: BlockVariable) -> str:
@@ -84,12 +103,3 @@ def disturbed(block: Block, state: Any, rng: random.Random) -> Any:
 def is_limited(v: BlockVariable) -> bool:
     """Whether a variable has a declared minimum or maximum."""
     return v.minimum is not None or v.maximum is not None
-
-
-def rounded(argument: Any, rng: random.Random) -> Any:
-    """Returns an argument whose floats are changed by a few units in the last place."""
-
-    def change(x: Any) -> Any:
-        return x * (1.0 + rng.choice((-2, -1, 0, 1, 2)) * _ULP) if isinstance(x, float) else x
-
-    return unflatten(argument, list(map(change, flatten(argument))))

@@ -22,7 +22,8 @@ from fmus.numerics.symbols import unsimplified
 with imports_of("build", "building an FMU"):
     import casadi
 
-_SHORT_STEP = 1e-11  # [s]
+# Elapsed times [s]: in the first one slopes hardly change, in the second one a lag of 1 ns ends.
+_SHORT_STEPS = 1e-11, 1e-8
 
 
 class Traced:
@@ -97,12 +98,13 @@ class Traced:
             integrated = _column(self._result("integrate", "t h x u p c"))[: len(flatten(rates))]
             h = self._columns["h"]
             slope = casadi.densify(casadi.jacobian(integrated, h))
-            # At a corner, such as a limit that is reached, CasADi takes the mean of the slopes of both sides:
-            # the slope after a short step may be the expected one instead.
-            rate, after = (casadi.substitute(slope, h, elapsed) for elapsed in (0.0, _SHORT_STEP))
-            expected = _column(rates)
-            is_nearer = casadi.fabs(after - expected) < casadi.fabs(rate - expected)
-            rate = casadi.if_else(is_nearer, after, rate)
+            # At a corner, such as a limit that is reached, CasADi takes the mean of the slopes of both sides,
+            # and a derivative may be finite in place of a jump. So any slope between those of a short step
+            # is right.
+            slopes = [casadi.substitute(slope, h, elapsed) for elapsed in (0.0, *_SHORT_STEPS)]
+            least, most = (reduce(extreme, slopes) for extreme in (casadi.fmin, casadi.fmax))
+            between = casadi.fmin(casadi.fmax(_column(rates), least), most)
+            rate = casadi.if_else(least <= most, between, least)  # NaN without a slope
             self.integrated_rate = self._function("rate", arguments, "rate", rate)
 
     def between_events(self, function: casadi.Function) -> casadi.Function:

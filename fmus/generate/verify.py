@@ -1,13 +1,15 @@
 """Check that a traced block, and its library, give the results of its Python functions, and miss no sample.
 
-The functions are called at random points. A difference is rounding if the Python function itself changes as
-much when its arguments change by a few units in the last place. Any other difference refuses the block.
+The functions are called at random points. A difference is rounding if the function itself changes as much
+when the result of each of its operations changes by a unit in the last place, which also covers a branch that
+is taken within rounding. Any other difference refuses the block.
 """
 
 import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,16 +20,21 @@ from fmus.errors import ExportError
 from fmus.generate.declare import scalar_names
 from fmus.generate.guard import NO_MEMORY, location, own_line
 from fmus.generate.native import ShippedLibrary
-from fmus.generate.random_points import disturbed, drawn, is_limited, rounded
-from fmus.generate.trace import Traced
+from fmus.generate.operations import with_roundings
+from fmus.generate.random_points import disturbed, drawn, is_limited, permitted
+from fmus.generate.trace import Traced, trace
 from fmus.numerics import Clock
-from fmus.numerics.symbols import are_numbers
+from fmus.numerics.symbols import are_numbers, unsimplified
 
 _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
-_DRAWS = 20  # of parameters for a point, until they meet the requirements
+_CHANGED = 0.1, 0.5, 1.0  # shares of the numbers that are drawn; others have their start values
 # relative: a few roundings of elementary functions, which differ between C libraries
 _EQUAL = 1e-12
-_PERTURBATIONS, _AMPLIFIED = 8, 32.0
+# random errors of all operations, each of _ROUNDING; how much larger than their effect a difference may be
+_PERTURBATIONS, _AMPLIFIED = 32, 32.0
+_ROUNDING = 2.0**-52
+# beside such a number another order of operations may overflow, as its square does
+_LARGE = 1e150
 # of the points; a function that amplifies rounding at more of them is not compared at all
 _MOST_AMPLIFIED = 0.2
 _AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
@@ -45,13 +52,14 @@ _NEARLY_EQUAL = 1e-9
 class Comparison:
     """A function of a block beside its traced form."""
 
-    def __init__(self, traced: Traced, name: str) -> None:
+    def __init__(self, traced: Traced, name: str, as_written: Callable[[], Traced]) -> None:
+        # as_written: returns the block traced without simplifications
         block = traced.block
         self._python: Callable[..., Any] = getattr(block, name)
         self._where = f"block {block.name!r}: {location(self._python)}{name}"
-        self._traced = getattr(traced, name)
+        self._name, self._traced, self._as_written = name, traced, as_written
         if name in _OF_CONTINUOUS:
-            function, self._traced = self._python, traced.between_events(self._traced)
+            function = self._python
             self._python = lambda t, x, *others: function(t, block.held(t, x, *others), *others)
         elif name == "step":
             self._python = block.advance
@@ -103,26 +111,34 @@ class Comparison:
             again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
             exactly = [0.0] * len(numbers)
             self._compare(result, numbers, again, exactly, _AT_TWO_CALLS)
-        self.check_traced(self._traced, _TRACED, rng)
+        self.check_traced(self._name, _TRACED, rng)
 
-    def check_traced(self, function: Any, how: str, rng: random.Random, equal: float = _EQUAL) -> None:
+    def check_traced(self, name: str, how: str, rng: random.Random, equal: float = _EQUAL) -> None:
         """Compares the numbers of each call with a traced function; raises ExportError for a difference."""
-        self.check_numbers(_numbers_of(function, [a for a, _, _ in self.calls]), how, rng, equal)
+        given = _numbers_of(_traced_function(self._traced, name), [a for a, _, _ in self.calls])
+        self._check_numbers(given, name, how, rng, equal)
 
-    def check_numbers(
-        self, given: Sequence[list[float] | None], how: str, rng: random.Random, equal: float = _EQUAL
-    ) -> None:
-        """Compares the numbers of each call with given ones; raises ExportError for a difference.
+    def check_compiled(self, given: Sequence[list[float] | None], rng: random.Random) -> None:
+        """Compares the numbers of each call with the compiled function; raises ExportError for a difference.
 
         given: the numbers for each call, or None to leave it out
-        equal: relative difference of numbers that count as equal
         """
-        amplified = 0
+        self._check_numbers(given, self._name, _COMPILED, rng, _EQUAL)
+
+    def _check_numbers(
+        self, given: Sequence[list[float] | None], name: str, how: str, rng: random.Random, equal: float
+    ) -> None:
+        amplified, with_errors = 0, None
         for (arguments, result, numbers), others in zip(self.calls, given, strict=True):
             rounding = [equal * abs(x) for x in numbers]
-            if others is not None and not all(map(_are_near, numbers, others, rounding)):
+            if others is None or (
+                max(map(abs, numbers), default=0.0) > _LARGE and not all(map(math.isfinite, others))
+            ):
+                continue
+            if not all(map(_are_near, numbers, others, rounding)):
                 amplified += 1
-                moved = self._moved(arguments, numbers, rng)
+                with_errors = with_errors or with_roundings(_traced_function(self._as_written(), name))
+                moved = _moved(with_errors, arguments, rng)
                 allowed = [max(a, _AMPLIFIED * b) for a, b in zip(rounding, moved, strict=True)]
                 self._compare(result, numbers, others, allowed, f"in Python and {{}} {how}")
         if amplified > _MOST_AMPLIFIED * len(self.calls):
@@ -132,7 +148,9 @@ class Comparison:
         """Raises ExportError where Python divides by zero or leaves a domain, and compiled code does not."""
         # Compiled code takes a number that is too large for Python for infinite: that is no such error.
         errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
-        results = _numbers_of(self._traced, [arguments for arguments, _ in errors])
+        results = _numbers_of(
+            _traced_function(self._traced, self._name), [arguments for arguments, _ in errors]
+        )
         for (_, error), numbers in zip(errors, results, strict=True):
             if all(map(math.isfinite, numbers)):
                 raise ExportError(
@@ -140,14 +158,6 @@ class Comparison:
                     "such values with min, max or requirements, or give an alternative of "
                     "fmus.numerics.where that is not always legal as a function: lambda: ..."
                 )
-
-    def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
-        """Returns the distances that the numbers move when the arguments change by roundings."""
-        moved = [0.0] * len(numbers)
-        for _ in range(_PERTURBATIONS):
-            other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
-            moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
-        return moved
 
     def _compare(
         self, result: Any, numbers: list[float], others: list[float], allowed: list[float], how: str
@@ -161,24 +171,26 @@ class Comparison:
                 raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
 
 
-def check_trace(traced: Traced) -> dict[str, Comparison]:
+def check_trace(traced: Traced, seed: int = 0) -> dict[str, Comparison]:
     """Checks that the traced functions of a block give the values of its Python functions.
 
+    seed: of the random points
     Returns the calls of each function, for `check_shipped`. Raises ExportError for a difference.
     """
     block = traced.block
     # The points follow from the variables alone: a block under another name is compared at the same ones.
-    rng = random.Random(0)
+    rng = random.Random(seed)
     names = (*_FUNCTIONS, *(_OF_CONTINUOUS if block.derivative else ()))
-    compare = {name: Comparison(traced, name) for name in names}
+    # without a simplification such as (a + b) - b = a the traced functions round as Python does
+    as_written = cache(lambda: unsimplified(trace, block))
+    compare = {name: Comparison(traced, name, as_written) for name in names}
     for point in range(_POINTS):
         _compare_at_a_point(block, compare, rng, at_start=point == 0)
     _compare_at_zeros(block, compare)
     for comparison in compare.values():
         comparison.check(rng)
     if block.integrate:
-        integrated = traced.between_events(traced.integrated_rate)
-        compare["derivative"].check_traced(integrated, _INTEGRATED, rng, _NEARLY_EQUAL)
+        compare["derivative"].check_traced("integrated_rate", _INTEGRATED, rng, _NEARLY_EQUAL)
     return compare
 
 
@@ -197,21 +209,23 @@ def check_shipped(compare: dict[str, Comparison], library: ShippedLibrary) -> No
     calls = compare["output"].calls
     given["output"] = [outputs.get((t, id(x), id(p))) for (t, x, p, _), _, _ in calls]
     for name, numbers in given.items():
-        compare[name].check_numbers(numbers, _COMPILED, rng)
+        compare[name].check_compiled(numbers, rng)
 
 
 def _compare_at_a_point(
     block: Block, compare: dict[str, Comparison], rng: random.Random, at_start: bool
 ) -> None:
     """Draws parameters, inputs and a time; follows the state over a few steps, and disturbs it in between."""
-    for _ in range(_DRAWS):
-        changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
-        p = drawn(block, "parameter", block.parameters, changed, rng)
+
+    def is_permitted(p: Any) -> bool:
         c = compare["calculate"](p)
         required = None if c is None else compare["requirements"](p, c)
-        if required is not None and all(holds for holds, _ in required):
-            break
-    else:
+        return required is not None and all(holds for holds, _ in required)
+
+    changed = 0.0 if at_start else rng.choice(_CHANGED)
+    p = permitted(block, drawn(block, "parameter", block.parameters, changed, rng), is_permitted)
+    c = compare["calculate"](p)
+    if c is None:
         return
     _check_whole(block, "calculate", block.calculated, c)
     # a run may begin before 0
@@ -310,6 +324,12 @@ def _expected(start: int) -> str:
     return "0 or 1" if isinstance(start, bool) else "a whole number"
 
 
+def _traced_function(traced: Traced, name: str) -> Any:
+    """Returns a traced function; of continuous states, with the state between events."""
+    function = getattr(traced, name)
+    return traced.between_events(function) if name in (*_OF_CONTINUOUS, "integrated_rate") else function
+
+
 def _numbers_of(function: Any, calls: list[Sequence[Any]]) -> list[list[float]]:
     """Returns the results of a traced function for all arguments, in one call."""
     if not calls:
@@ -317,6 +337,16 @@ def _numbers_of(function: Any, calls: list[Sequence[Any]]) -> list[list[float]]:
     columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
     matrices = [np.array(scalars, float).reshape(len(calls), -1).T for scalars in columns]
     return function.map(len(calls))(*matrices).full().T.tolist()
+
+
+def _moved(function: Any, arguments: Sequence[Any], rng: random.Random) -> list[float]:
+    """Returns the distances that results move with random rounding errors; function: of `with_roundings`."""
+    count = function.numel_in(function.n_in() - 1), _PERTURBATIONS
+    errors = np.random.default_rng(rng.getrandbits(64)).uniform(-_ROUNDING, _ROUNDING, count)
+    errors[:, 0] = 0.0
+    columns = [np.array(flatten(argument), float).reshape(-1, 1) for argument in arguments]
+    results = function.map(_PERTURBATIONS)(*(c.repeat(_PERTURBATIONS, 1) for c in columns), errors).full()
+    return np.fmax.reduce(np.abs(results - results[:, :1]), axis=1).tolist()
 
 
 def _described(error: Exception) -> str:

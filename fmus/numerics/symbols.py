@@ -28,8 +28,10 @@ def are_numbers(*values: object) -> bool:
 def unsimplified(function: Callable[..., Any], *arguments: Any) -> Any:
     """Returns the result of a function of CasADi, in which sums with the constant 0 remain."""
     # such a sum makes 0 of -0: without it, the C code would differ from Python in the sign of a zero
-    casadi().GlobalOptions.setSimplificationOnTheFly(False)
+    options = casadi().GlobalOptions
+    before = options.getSimplificationOnTheFly()
+    options.setSimplificationOnTheFly(False)
     try:
         return function(*arguments)
     finally:
-        casadi().GlobalOptions.setSimplificationOnTheFly(True)
+        options.setSimplificationOnTheFly(before)

@@ -8,6 +8,7 @@ import random
 import re
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -16,6 +17,7 @@ from itertools import count
 from types import FrameType, FunctionType
 from typing import Any
 
+import casadi
 import numpy as np
 import pytest
 
@@ -23,7 +25,7 @@ from fmus import numerics
 from fmus.block import Block, variable
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.trace import trace
+from fmus.generate.trace import Traced, trace
 from fmus.generate.verify import check_trace
 from tests.shared_builds import slow_but
 
@@ -323,6 +325,8 @@ ACCEPTED: list[Rule] = [
     lambda u, x, p: math.prod((x, u, 2.0)) + math.floor(x) - abs(u),
     lambda u, x, p: numerics.log(u),  # refused for u <= 0 by Python, not finite when it is traced
     lambda u, x, p: numerics.sin(1e6 * u) - numerics.sin(1e6 * u + 1e-9),
+    # rounded by Python, simplified when it is traced
+    lambda u, x, p: numerics.where(p.number == 5, (u + 1e9) - 1e9, u),
 ]
 
 
@@ -374,7 +378,9 @@ def observed_where(condition: Any, if_true: Any, if_false: Any) -> Any:
     return observed(condition, if_true, if_false)  # type: ignore[name-defined] # noqa: F821
 
 
-@pytest.mark.parametrize("name", slow_but(("L1DepthController", "ExamplePlant"), builder.block_names()))
+@pytest.mark.parametrize(
+    "name", slow_but(("L1Controller", "L1DepthController", "ExamplePlant"), builder.block_names())
+)
 def test_every_block_is_faithful_and_takes_its_branches_both_ways(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -391,11 +397,59 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(
     for own_name, value in names.items():
         monkeypatch.setitem(where.__globals__, own_name, value)
     monkeypatch.setattr(where, "__code__", observed_where.__code__)
-    if name == "L1Controller":  # its limit is far: few points have an integral gain and a saturated control
-        monkeypatch.setattr("fmus.generate.verify._POINTS", 200)
     check_trace(trace(block))
     assert outcomes or name == "ExamplePlant"  # which is linear
     assert {position for position, both in outcomes.items() if both != {True, False}} == set()
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"), [("L1HeavePitchController", 6), ("L1DepthController", 4), ("BlueRov2Plant", 8)]
+)
+def test_a_block_is_faithful_at_any_random_points(name: str, seed: int) -> None:
+    """Where sums cancel, a branch is near, and a derivative is finite in place of a jump."""
+    check_trace(trace(builder.load_block(name)), seed)
+
+
+def with_wrong_branches(block: Block, line: str | None = None) -> tuple[Traced, set[str]]:
+    """Traces a block with the alternatives of all choices of a line exchanged.
+
+    Returns the functions, and the lines with choices.
+    """
+    if_else, lines = casadi.if_else, set[str]()
+
+    def exchanged(condition: casadi.SX, if_true: casadi.SX, if_false: casadi.SX) -> casadi.SX:
+        frames = traceback.walk_stack(sys._getframe(1))
+        names = (f"{frame.f_code.co_filename}:{number}" for frame, number in frames)
+        caller = next(name for name in names if not re.search(r"numerics.(choice|symbols)\.py", name))
+        lines.add(caller)
+        return if_else(condition, *((if_false, if_true) if caller == line else (if_true, if_false)))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(casadi, "if_else", exchanged)
+        return trace(block), lines
+
+
+def serialized(traced: Traced) -> list[str]:
+    return [function.serialize() for function in traced.functions().values()]
+
+
+@pytest.mark.parametrize(
+    "name",
+    slow_but(("ThrustAllocation",), ("ThrustAllocation", "L1Controller", "PidDepthController")),
+)
+def test_a_wrong_branch_of_the_traced_form_is_refused(name: str) -> None:
+    block, accepted = builder.load_block(name), []
+    right, lines = with_wrong_branches(block)
+    for line in lines:
+        wrong, _ = with_wrong_branches(block, line)
+        if serialized(wrong) == serialized(right):  # no result takes it
+            continue
+        try:
+            check_trace(wrong)
+            accepted.append(line)
+        except ExportError:
+            continue
+    assert accepted == []
 
 
 @dataclass(frozen=True)
