@@ -101,7 +101,7 @@ def in_arrays(chosen: Sequence[int], block: Block) -> tuple[list[int], list[int]
 def test_derivatives_are_those_of_casadi(open_fmi3: Open, name: str, mode: str) -> None:
     """To 1e-12 of the products that each is the sum of: the order of the sums is another.
 
-    A row in which CasADi's order leaves none, as of the unit vector B_u, is held to the largest of all products.
+    A row in which CasADi's order leaves none, as of a unit vector, is held to the largest product of all.
     CasADi has no number where a thruster's table has an interval of no length: it multiplies its slope by 0.
     """
     block, reference = block_named(name), derivatives(name)[mode]

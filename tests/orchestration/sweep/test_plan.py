@@ -178,9 +178,8 @@ def test_a_relative_draw_about_a_negative_value_keeps_to_the_range_of_the_fmu(tm
     """Of -2 with the range -3 to 1 the factors are -0.5 to 1.5: the limits change places."""
     plain = described(tmp_path / "plain.fmu", inputs=["u"])
     fmu = redescribed(plain, tmp_path / "r.fmu", lambda xml: xml.replace("<Real ", '<Real min="-3" max="1" '))
-    text = (
-        f'[components]\nr = "{fmu.as_posix()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n[inputs]\n"r.u" = -2.0\n'
-    )
+    experiment = "[experiment]\nstop_time = 1.0\nstep_size = 0.1\n"
+    text = f"[components]\nr = '{fmu}'\n{experiment}" + '[inputs]\n"r.u" = -2.0\n'
     declared = 'relative = true\ndistribution = "normal"\nmean = 1.0\nstd = 2.0\ntruncate = true'
     path = tmp_path / "negative.toml"
     path.write_text(text + of_u(declared, 500))
