@@ -1,7 +1,6 @@
 """Signals that differ between the instances of an ensemble."""
 
 import math
-import os
 import re
 from dataclasses import replace
 from typing import Any
@@ -13,6 +12,7 @@ from orchestration import Constant, Cosine, Ensemble, Event, Experiment, Ramps, 
 from orchestration.errors import SystemDefinitionError
 from orchestration.many.ensemble_loop import Device
 from orchestration.results.recording import on_host
+from orchestration.system import experiment_checks
 from orchestration.system.signals import Signal
 from tests.orchestration.many.instances import CURRENT, REFERENCE, assert_same_bits, instances
 
@@ -107,7 +107,7 @@ def test_signals_count_as_memory(system: System, monkeypatch: pytest.MonkeyPatch
     """8 instances of 52 points take 71.0 kB with one variable, and 3.3 kB more with each signal."""
     one = replace(DIVE, record=("plant.depth",))
     with Ensemble(system) as ensemble:
-        monkeypatch.setattr(os, "sysconf", lambda _: 272, raising=False)  # 74.0 kB
+        monkeypatch.setattr(experiment_checks, "memory_size", lambda: 74_000)
         ensemble.run(instances(one, {"plant.inertia": INERTIAS[:8]}))
         with pytest.raises(SystemDefinitionError, match=r"8 instances of 52 .* of 1 variables and 2 signals"):
             ensemble.run(instances(one, {REFERENCE: SIGNALS[:8], CURRENT: SIGNALS[1:9]}))

@@ -131,7 +131,8 @@ class HostDevice(CompiledDevice):
 
     def kernels(self, program: str) -> Mapping[str, Kernel]:
         if program not in _COMPILED:
-            with TemporaryDirectory() as folder:
+            # a library that is loaded stays in Windows
+            with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
                 Path(folder, "program.cpp").write_text(program)
                 zig(["cc", *_OPTIONS, "program.cpp", "-o", "program.so"], Path(folder))
                 _COMPILED[program] = ctypes.CDLL(str(Path(folder, "program.so")))
