@@ -9,12 +9,13 @@ import numpy as np
 from fmus.errors import OrchestrationError
 from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.variable_types import FmiValue
 from orchestration.cli.chosen_scenario import build_missing_fmus
 from orchestration.diff.change import Change, Level
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Sines
 from orchestration.system.system import System
 
@@ -52,7 +53,7 @@ def speed(old: Path, new: Path, timeout: float) -> str:
     """Returns the CPU times of a step of both, which take turns in one run, in words; arguments as above."""
     experiment = _experiment(old, new)
     signals = {name.replace(_FMU, "new", 1): signal for name, signal in experiment.signals.items()}
-    both = replace(experiment, signals={**experiment.signals, **signals})
+    both = replace(experiment, signals={**experiment.signals, **signals}, events=())
     try:
         run = simulate(System({_FMU: old, "new": new}), both, timeout=timeout, statistics=True)
     except OrchestrationError as error:
@@ -75,7 +76,7 @@ def _in_scenario(name: str, component: str, fmus: Iterable[Path]) -> list[tuple[
 
 
 def _experiment(old: Path, new: Path) -> Experiment:
-    """Returns a run with signals at the Real inputs that both FMUs have; other inputs keep their starts."""
+    """Returns a run with signals at the Real inputs of both FMUs; half-way, Booleans and items change."""
     one, others = describe(old), {(v.name, v.type, v.causality) for v in describe(new).modelVariables}
     shared = [v for v in one.modelVariables if (v.name, v.type, v.causality) in others]
     given = {name: getattr(one.defaultExperiment, name, None) for name in (*_TIMES, "stepSize")}
@@ -87,7 +88,20 @@ def _experiment(old: Path, new: Path) -> Experiment:
     real = [v for v in shared if v.causality == "input" and v.type == "Real"]
     signals = {f"{_FMU}.{v.name}": _signal(v, number, stop - start) for number, v in enumerate(real)}
     outputs = tuple(f"{_FMU}.{v.name}" for v in shared if v.causality == "output")
-    return Experiment(stop, step, start, signals=signals, record=outputs, open_inputs="start")
+    discrete = [v for v in shared if v.causality == "input" and v.type in ("Boolean", "Enumeration")]
+    half = Event((start + stop) / 2.0, {f"{_FMU}.{v.name}": _other_value(v) for v in discrete})
+    events = [half] if discrete else []
+    return Experiment(stop, step, start, signals=signals, events=events, record=outputs, open_inputs="start")
+
+
+def _other_value(variable: ScalarVariable) -> FmiValue:
+    """Returns another value than the start value, which an item without others is."""
+    start = start_value(variable)
+    if variable.type == "Boolean":
+        return not start
+    items = [int(item.value) for item in variable.declaredType.items] if variable.declaredType else []
+    low, high = int(variable.min or min(items, default=0)), int(variable.max or max(items, default=0))
+    return next((item for item in items if item != start and low <= item <= high), start)
 
 
 def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:
