@@ -1,20 +1,21 @@
 """Differences of two runs with the same inputs, in separate processes."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fmus.errors import OrchestrationError
-from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.description import describe, start_value
 from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.variable_types import FmiValue
 from orchestration.cli.chosen_scenario import build_missing_fmus
 from orchestration.diff.change import Change, Level
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Sines
 from orchestration.system.system import System
 
@@ -33,7 +34,10 @@ def behaviour_changes(
     timeout: longest time of a call of an FMU [s]
     name, component: of a scenario and of the component in it that each FMU replaces; alone by default
     """
-    runs = _in_scenario(name, component, (old, new)) if name else _alone(old, new)
+    if name:
+        runs = _in_scenario(name, component, (old, new))
+    else:
+        runs = [(System({_FMU: fmu}), _experiment(old, new)) for fmu in (old, new)]
     results = [_result(system, experiment, timeout) for system, experiment in runs]
     one, other = results
     if isinstance(one, Recording) and isinstance(other, Recording):
@@ -47,9 +51,9 @@ def behaviour_changes(
 
 def speed(old: Path, new: Path, timeout: float) -> str:
     """Returns the CPU times of a step of both, which take turns in one run, in words; arguments as above."""
-    _, experiment = next(_alone(old, new))
+    experiment = _experiment(old, new)
     signals = {name.replace(_FMU, "new", 1): signal for name, signal in experiment.signals.items()}
-    both = replace(experiment, signals={**experiment.signals, **signals})
+    both = replace(experiment, signals={**experiment.signals, **signals}, events=())
     try:
         run = simulate(System({_FMU: old, "new": new}), both, timeout=timeout, statistics=True)
     except OrchestrationError as error:
@@ -71,38 +75,33 @@ def _in_scenario(name: str, component: str, fmus: Iterable[Path]) -> list[tuple[
     return [(each.system, each.experiment) for each in chosen]
 
 
-def _alone(old: Path, new: Path) -> Iterator[tuple[System, Experiment]]:
-    """Yields runs of both FMUs with the same signals at the Real inputs of both; others keep their starts."""
-    one, other = describe(old), describe(new)
-    names = [{v.name: v for v in d.modelVariables} for d in (one, other)]
-    default = one.defaultExperiment
-    given = {name: getattr(default, name, None) for name in (*_TIMES, "stepSize")}
+def _experiment(old: Path, new: Path) -> Experiment:
+    """Returns a run with signals at the Real inputs of both FMUs; half-way, Booleans and items change."""
+    one, others = describe(old), {(v.name, v.type, v.causality) for v in describe(new).modelVariables}
+    shared = [v for v in one.modelVariables if (v.name, v.type, v.causality) in others]
+    given = {name: getattr(one.defaultExperiment, name, None) for name in (*_TIMES, "stepSize")}
     start, stop = (float(given[name] or other) for name, other in _TIMES.items())
     stop = stop if stop > start else start + 1.0
     # a solver needs no small communication steps, at each of which it begins anew
     usual = (stop - start) / _STEPS
     step = max(float(given["stepSize"] or usual), usual if one.is_model_exchange else 0.0)
-    real = [v for v in of_causality(one, "input") if v.type == "Real" and _is_shared(v, names[1])]
+    real = [v for v in shared if v.causality == "input" and v.type == "Real"]
     signals = {f"{_FMU}.{v.name}": _signal(v, number, stop - start) for number, v in enumerate(real)}
-    outputs = [v.name for v in of_causality(one, "output") if _is_shared(v, names[1])]
-    for fmu in (old, new):
-        yield (
-            System({_FMU: fmu}),
-            Experiment(
-                stop,
-                step,
-                start_time=start,
-                signals=signals,
-                record=tuple(f"{_FMU}.{output}" for output in outputs),
-                open_inputs="start",
-            ),
-        )
+    outputs = tuple(f"{_FMU}.{v.name}" for v in shared if v.causality == "output")
+    discrete = [v for v in shared if v.causality == "input" and v.type in ("Boolean", "Enumeration")]
+    half = Event((start + stop) / 2.0, {f"{_FMU}.{v.name}": _other_value(v) for v in discrete})
+    events = [half] if discrete else []
+    return Experiment(stop, step, start, signals=signals, events=events, record=outputs, open_inputs="start")
 
 
-def _is_shared(variable: ScalarVariable, others: dict[str, ScalarVariable]) -> bool:
-    """Whether the other FMU has the variable too, as it is here."""
-    other = others.get(variable.name)
-    return other is not None and (other.type, other.causality) == (variable.type, variable.causality)
+def _other_value(variable: ScalarVariable) -> FmiValue:
+    """Returns another value than the start value, which an item without others is."""
+    start = start_value(variable)
+    if variable.type == "Boolean":
+        return not start
+    items = [int(item.value) for item in variable.declaredType.items] if variable.declaredType else []
+    low, high = int(variable.min or min(items, default=0)), int(variable.max or max(items, default=0))
+    return next((item for item in items if item != start and low <= item <= high), start)
 
 
 def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:

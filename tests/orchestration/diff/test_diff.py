@@ -3,13 +3,18 @@
 import json
 import re
 import zipfile
+from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fmus.block import Block, variable
 from fmus.files import write_archive
 from fmus.fmi.description import describe
+from fmus.generate import builder
+from fmus.numerics import where
 from orchestration.cli.commands import run_command
 from orchestration.cli.package_fmus import build_started
 from orchestration.diff.behaviour import _of_recordings, _signal, speed
@@ -152,6 +157,52 @@ def test_an_fmu_that_no_longer_runs_is_a_major_change(built: Fmus, tmp_path: Pat
     for pair, level in (((whole, broken), Level.MAJOR), ((broken, whole), Level.MINOR)):
         changes = [c for c in compared(*pair) if c.part == "behaviour" and "a whole run" in c.text]
         assert [change.level for change in changes] == [level] * 2  # of both interfaces
+
+
+class Mode(IntEnum):
+    """What the output does."""
+
+    HOLD = 1
+    RISE = 2
+
+
+@dataclass(frozen=True)
+class ModeInputs:
+    enabled: bool = variable(False, "Whether the output moves")
+    mode: Mode = variable(Mode.HOLD, "Mode")
+
+
+@dataclass(frozen=True)
+class Ramp:
+    y: float = variable(0.0, "Output")
+
+
+@pytest.mark.parametrize("name", ["enabled", "mode"])
+def test_a_gain_that_acts_behind_a_boolean_or_an_item_is_found(tmp_path: Path, name: str) -> None:
+    """At the start values of these inputs the output is 0."""
+
+    def built_with(gain: float) -> Path:
+        def step(t: float, h: float, s: Ramp, u: ModeInputs, p: object, c: object) -> Ramp:
+            moves = u.enabled if name == "enabled" else u.mode == Mode.RISE
+            return Ramp(s.y + where(moves, h * gain, 0.0))
+
+        block = Block(
+            "Switched",
+            "A ramp that an input starts",
+            inputs=ModeInputs,
+            state=Ramp,
+            outputs=Ramp,
+            step=step,
+            output=lambda t, s, p, c: s,
+        )
+        return builder.build_block(block, tmp_path / str(gain))
+
+    slow, fast = built_with(1.0), built_with(1.5)
+    (change,) = (c for c in compared(slow, fast) if c.part == "behaviour")
+    assert change.level is Level.MINOR
+    assert re.match(
+        r"differs first at t = 0\.51 s in fmu\.y; at most by 0\.25 of fmu\.y at t = 1 s", change.text
+    )
 
 
 def compared(old: Path, new: Path) -> list[Change]:
