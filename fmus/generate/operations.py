@@ -36,6 +36,8 @@ _NAMES = {getattr(casadi, name): name[3:] for name in dir(casadi) if name.starts
 _LARGEST_WHOLE = 2.0**53
 # operations that cost less are not worth a branch
 _BRANCH = 8
+# of the argument of a sine, relative to a rounding: CasADi's wheel for Windows has the x87's pi of 66 bits
+_ERROR_OF_PI = 2.0**-12
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,14 @@ def with_roundings(function: casadi.Function) -> casadi.Function:
     """
     errors = casadi.SX.sym("errors", function.n_instructions())
     arguments = function.sx_in()
-    _, results = _terms(function, arguments, lambda i, x: x + x * errors[i] * (x != casadi.floor(x)))
+
+    def rounded(i: int, x: casadi.SX) -> casadi.SX:
+        other = x + x * errors[i] * (x != casadi.floor(x))
+        if x.op() not in (casadi.OP_SIN, casadi.OP_COS):
+            return other
+        return casadi.fmax(-1.0, casadi.fmin(1.0, other + x.dep() * _ERROR_OF_PI * errors[i]))
+
+    _, results = _terms(function, arguments, rounded)
     return casadi.Function(function.name(), [*arguments, errors], [casadi.vertcat(*results)])
 
 
