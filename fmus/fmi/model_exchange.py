@@ -7,7 +7,7 @@ can be read, and inputs, tunable parameters and saved states can be set.
 
 import ctypes
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,8 +20,7 @@ from fmpy.sundials.sundials_context import SUNContext_PushErrHandler
 
 from fmus.fmi.binding import DISCARD, ERROR, MODEL_EXCHANGE, OK, WARNING, status_name
 from fmus.fmi.instance import FmuInstance
-from fmus.fmi.model_description import ModelDescription, ScalarVariable
-from fmus.fmi.variable_types import FmiValue
+from fmus.fmi.model_description import ModelDescription
 
 # Relative tolerance of the solver if the run states none. The solver starts again where inputs change, so
 # that errors add up.
@@ -67,15 +66,11 @@ class ModelExchangeInstance(FmuInstance):
             fmi2GetBooleanStatus=_Status(self._boolean_status),
         )
 
-    def initialise(
-        self,
-        start_time: float,
-        stop_time: float | None,
-        tolerance: float | None = None,
-        settings: Iterable[tuple[ScalarVariable, FmiValue]] = (),
+    def set_up_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
     ) -> None:
         self._tolerance, self._reached = tolerance or _TOLERANCE, start_time
-        super().initialise(start_time, stop_time, tolerance, settings)
+        super().set_up_experiment(start_time, stop_time, tolerance)
 
     def exit_initialization_mode(self) -> None:
         """Leaves initialization mode and handles the first event."""
