@@ -128,7 +128,7 @@ def _terms(
     arguments: Sequence[casadi.SX],
     rounded: Callable[[int, casadi.SX], casadi.SX] = lambda i, x: x,
 ) -> tuple[list[casadi.SX], list[casadi.SX]]:
-    """Returns the number of each operation, and the results; rounded: what follows an instruction."""
+    """Returns the number of each operation, and the results; rounded: changes the number of one."""
     terms: list[casadi.SX] = []
     results: list[casadi.SX] = []
     held: dict[int, casadi.SX] = {}  # place in CasADi's memory -> number
