@@ -99,8 +99,8 @@ class Traced:
             h = self._columns["h"]
             slope = casadi.densify(casadi.jacobian(integrated, h))
             # At a corner, such as a limit that is reached, CasADi takes the mean of the slopes of both sides,
-            # and a derivative may be finite in place of a jump. So any slope from the least to the largest one
-            # in a short step is right.
+            # and a derivative may be finite in place of a jump. So any slope from the least to the largest
+            # of a short step is right.
             slopes = [casadi.substitute(slope, h, elapsed) for elapsed in (0.0, *_SHORT_STEPS)]
             least, most = (reduce(extreme, slopes) for extreme in (casadi.fmin, casadi.fmax))
             between = casadi.fmin(casadi.fmax(_column(rates), least), most)
