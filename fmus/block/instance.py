@@ -19,6 +19,19 @@ _FORMAT = 1
 _MOST_INTERNAL_STEPS = 1e9
 
 
+def internal_steps(h: float, longest: float) -> int:
+    """Returns how many equal internal steps a step of h [s] has; longest: parameter `internal_step` [s].
+
+    Raises BlockError for more than an FMU takes. `internal_steps` of fmus/native/instance.h is the same rule.
+    """
+    quotient = h / longest * (1.0 - 1e-9)
+    if quotient > _MOST_INTERNAL_STEPS:
+        raise BlockError(
+            f"communication step size {h!r} s: expected at most {_MOST_INTERNAL_STEPS:.0e} internal steps"
+        )
+    return max(1, math.ceil(quotient))
+
+
 def step_tolerance(t: float, h: float) -> float:
     """Returns the tolerance of a communication point [s]: far less than a step, more than rounding."""
     return min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
@@ -140,12 +153,7 @@ class BlockInstance:
 
     def _advance(self, t: float, h: float) -> Any:
         """Returns the state after h seconds."""
-        quotient = h / self._parameters.internal_step * (1.0 - 1e-9)
-        if quotient > _MOST_INTERNAL_STEPS:
-            raise BlockError(
-                f"communication step size {h!r} s: expected at most {_MOST_INTERNAL_STEPS:.0e} internal steps"
-            )
-        count = max(1, math.ceil(quotient))
+        count = internal_steps(h, self._parameters.internal_step)
         internal, state, step = h / count, self._state, self.block.advance
         held = self._inputs, self._parameters, self._calculated
         try:

@@ -1,10 +1,10 @@
 """The program that is proved: the C file of a microcontroller, called from every state and input of a box."""
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from fmus.block.instance import internal_steps
 from fmus.block.scalars import flatten
 from fmus.block.variables import BlockVariable
 from fmus.generate.c_code import CFunction
@@ -100,9 +100,10 @@ def harness(
         for kind, causality, column in (("inputs", "input", "u"), ("parameters", "parameter", "p"))
         for v, member in zip(block.of_causality(causality), described[column], strict=True)
     }
+    h = float(block.step_size)
     main = _MAIN.format(
         name=name,
-        h=_internal_step(traced),
+        h=h / internal_steps(h, block.parameters().internal_step),
         fixed=_parameters(traced, [(members[box.name], box) for box in parameters]),
         stays="".join(_stays(box) for box in states),
         time=LARGEST_TIME,
@@ -120,12 +121,6 @@ def _parameters(traced: Traced, free: Sequence[tuple[str, Interval]]) -> str:
     calculated = traced.calculate(flatten(traced.block.parameters())).full().ravel().tolist()
     members = zip(FirmwareC(traced).members["c"], calculated, strict=True)
     return "".join(f"    it.calculated.{member} = {value!r};\n" for member, value in members)
-
-
-def _internal_step(traced: Traced) -> float:
-    """Returns the size of the internal steps [s] of a step of the suggested size."""
-    h = float(traced.block.step_size)
-    return h / max(1, math.ceil(h / traced.block.parameters().internal_step * (1 - 1e-9)))
 
 
 def _any(member: str, box: Interval) -> str:

@@ -6,7 +6,6 @@ the thrusters and the adaptation at its gain as the FMUs have them. A period is 
 steps after which every block samples again.
 """
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmus.block import Block
+from fmus.block.instance import internal_steps
 from fmus.extras import imports_of
 from fmus.fmi.variable_types import FmiValue
 from fmus.generate.trace import trace
@@ -180,8 +180,7 @@ class _Blocks:
         after, first = [], []
         for name, block in blocks.items():
             u = casadi.vertcat(*(driven[key] for key in _names(name, block, "input")))
-            # as the FMU divides a communication step
-            count = max(1, math.ceil(self._size / parameters[f"{name}.internal_step"] * (1.0 - 1e-9)))
+            count = internal_steps(self._size, parameters[f"{name}.internal_step"])
             x, h = states[name], self._size / count
             for i in range(count):
                 x = traced[name].step(t + i * h, h, x, u, own[name], calculated[name])
