@@ -181,9 +181,9 @@ class ShippedLibrary(BoundInstance):
 
     def __init__(self, traced: Traced, guid: str, content: bytes, fmi: int = 2) -> None:
         block = traced.block
-        # Windows does not remove a library that is loaded
+        # Windows does not remove a library that is loaded, and adds .dll to a name without a dot
         with tempfile.TemporaryDirectory(prefix="l1-depth-build-", ignore_cleanup_errors=True) as folder:
-            path = Path(folder) / "library"
+            path = Path(folder) / "fmu.library"
             path.write_bytes(content)
             super().__init__(Fmi3Library(path) if fmi == 3 else Library(path), Callbacks())
         self.instantiate(block.name, guid, path, logging_on=False)

@@ -88,6 +88,6 @@ def _load(content: bytes, shipped: Path) -> ctypes.CDLL:
 
 def _load_from(parent: Path | None, content: bytes) -> ctypes.CDLL:
     with tempfile.TemporaryDirectory(dir=parent, prefix="l1-depth-", ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / "library"
+        path = Path(folder) / "our.library"  # Windows adds .dll to a name without a dot
         path.write_bytes(content)
         return ctypes.CDLL(str(path))
