@@ -18,6 +18,7 @@ from orchestration.studies.vehicle import built
 NAMES = list(read_protocol().controllers)
 _OF_ADAPTATION = {"projection_tolerance", "lyapunov_weight[1]", "sigma_bound"}
 FIXED = {
+    "AdrcDepthController": {"disturbance_ratio"},
     "MracDepthController": {*_OF_ADAPTATION, "theta_bound"},
     "L1DepthController": {
         *_OF_ADAPTATION,
