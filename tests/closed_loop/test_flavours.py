@@ -57,4 +57,5 @@ def test_trajectories_and_metrics_agree(results: dict[str, Result], python_fmus:
     recording = simulate(chosen.system, chosen.experiment)
     assert_same_trajectories(results[name].recording, recording)
     values = metrics.evaluate(recording, chosen.metrics)
-    assert values == pytest.approx(results[name].metrics, rel=1e-6, nan_ok=True)
+    # a small overshoot, in percent, is the difference of two depths
+    assert values == pytest.approx(results[name].metrics, rel=1e-6, abs=100.0 * AGREEMENT, nan_ok=True)
