@@ -10,7 +10,8 @@ from orchestration.scenarios.published import ALL_FIGURES, PUBLISHED, comparison
 
 
 def printed(measured: Mapping[str, Mapping[str, float]]) -> str:
-    console = Console(width=130, record=True, file=io.StringIO())
+    # with the same lines in a console of Windows
+    console = Console(width=130, record=True, file=io.StringIO(), legacy_windows=False)
     console.print(comparison_table(measured))
     return console.export_text()
 
