@@ -14,6 +14,7 @@ from fmus.compliance.texts import without_folders
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+SAVES, SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 ANY_STEP, INTERPOLATES = "canHandleVariableCommunicationStepSize", "canInterpolateInputs"
 _LARGEST_REFERENCE = 2**32 - 1
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
