@@ -227,7 +227,7 @@ C_VARIABLES = """
 
 
 def c_helpers(fmu: FmuFile) -> str:
-    """Returns the functions of the program besides `main`."""
+    """Returns the functions of the program before `main`."""
     return _C_HELPERS + _C_EVENTS + (_C_COMPLETED if fmu.is_model_exchange else _C_STEPS)
 
 
