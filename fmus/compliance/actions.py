@@ -404,7 +404,7 @@ def others_in_turn(probe: Probe, variables: Sequence[Variable], *before: Action)
     """Yields sets of variables and values that the FMU accepts at once after some actions: first values near
     the start values, then sets of far values.
     """
-    ways = ([(v, x) for x in (values.other_value(v), *values.far_values(v))] for v in variables)
+    ways = ([(v, x) for x in (v.other_value, *values.far_values(v))] for v in variables)
     for some in itertools.zip_longest(*ways):
         pairs = [pair for pair in some if pair and pair[1] is not None]
         yield accepted_together(probe, pairs, *before)

@@ -22,9 +22,15 @@ _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their a
 
 
 @cache
-def _kind(function: str) -> tuple[bool, bool]:
-    """Returns whether the last argument of a function is what it writes, and whether it changes the state."""
-    return function.startswith(_RETURN_ARRAYS), function.startswith(_CHANGES_OF_STATE)
+def _kind(function: str) -> tuple[bool, bool, bool]:
+    """Returns whether the last argument of a function is what it writes, whether the function changes the
+    state, and whether a solver calls it.
+    """
+    return (
+        function.startswith(_RETURN_ARRAYS),
+        function.startswith(_CHANGES_OF_STATE),
+        function in _OF_SOLVERS,
+    )
 
 
 @cache
@@ -137,15 +143,15 @@ class CalledInstance(parts.StateSlots):
 
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
-        is_result, changes_state = _kind(function)
+        is_result, changes_state, is_of_solver = _kind(function)
         self.function = function
         # a solver makes most calls, and its vectors show little
-        if function in _OF_SOLVERS:
+        if is_of_solver:
             self._announce(_announcement(function, self._after))
         else:
             self._tell(function, arguments[:-1] if is_result else arguments)
         if not self.watched and self._calls is None:
-            self.last_status = self.status(function, *arguments)
+            self.last_status = getattr(self.library, function)(self.handle, *arguments)
         else:
             self._call_watched(function, is_result, arguments)
         if changes_state and 0 <= self.last_status <= binding.WARNING:
@@ -204,11 +210,12 @@ class CalledInstance(parts.StateSlots):
     def results(self, element: Any, count: int, call: Callable[[Any], None]) -> list[Any]:
         """Returns what a call writes into an array, with an element behind it that the FMU may not write."""
         is_marked = self.watched and element is not ctypes.c_char_p
-        guarded, size = _guarded(element, count, is_marked), ctypes.sizeof(element)
+        guarded = _guarded(element, count, is_marked)
         array = type(guarded).from_buffer_copy(guarded)
         call(array)
         values = array[:count]
         if self.watched:
+            size = ctypes.sizeof(element)
             self.note(ARGUMENTS, bytes(array)[-size:] != bytes(guarded)[-size:])
             self.note(UNWRITTEN, is_marked and self.last_status == binding.OK and guarded[0] in values)
         return values

@@ -72,6 +72,7 @@ def check(
 
     For example, l1-depth check plant.fmu --format junit --out check.xml prints text and writes a file for CI.
     """
+    gc.set_threshold(ALLOCATIONS)
     from fmus.compliance import findings, report
     from fmus.compliance.behaviour import host_errors
     from fmus.compliance.library_reader import check_lief
@@ -171,7 +172,6 @@ def _judged(
     from fmus.compliance.examine import examine
 
     results = dict[Path, list[Result]]()
-    gc.set_threshold(ALLOCATIONS)
     with _progress(quiet, len(fmus)) as show:
         for number, path in enumerate(fmus, 1):
             show(f"check {number} of {len(fmus)}: {path.name}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.traces.fmi3_view import as_fmi2
+from fmus.compliance.traces.fmi3_view import FLAGS, LISTS, as_fmi2
 from fmus.compliance.variable import Unknown, Variable, Variable3, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
@@ -24,15 +24,7 @@ ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"  # the elements of both interfaces
-_SECTIONS = {  # of ModelStructure, their lists in FMI 2.0 -> elements of FMI 3.0
-    "Outputs": "Output", "Derivatives": "ContinuousStateDerivative", "InitialUnknowns": "InitialUnknown",
-    "ClockedStates": "ClockedState", "EventIndicators": "EventIndicator",
-}  # fmt: skip
-_FLAGS = {  # of FMI 2.0 -> of FMI 3.0
-    "canGetAndSetFMUstate": "canGetAndSetFMUState",
-    "canSerializeFMUstate": "canSerializeFMUState",
-    "providesDirectionalDerivative": "providesDirectionalDerivatives",
-}
+_SECTIONS = {**LISTS, "ClockedStates": "ClockedState", "EventIndicators": "EventIndicator"}
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -166,7 +158,7 @@ class FmuFile:
 
     def claims(self, capability: str) -> bool:
         """Whether a capability flag of the interface that is judged is true."""
-        name = _FLAGS.get(capability, capability) if self.is_fmi3 else capability
+        name = FLAGS.get(capability, capability) if self.is_fmi3 else capability
         return is_true(self._attributes.get(name))
 
     @property
@@ -264,6 +256,15 @@ class FmuFile:
             ]
             for name in _SECTIONS
         }
+
+    @property
+    def state_variables(self) -> list[Variable]:
+        """The continuous states, in the order of Derivatives."""
+        return [self.variables[index - 1] for index in self.state_derivatives.values()]
+
+    @property
+    def log_categories(self) -> list[str]:
+        return [category.get("name", "") for category in self.root.iterfind("LogCategories/Category")]
 
     def vector_length(self, function: str) -> int:
         """Returns the number of elements that a function of model exchange gives."""

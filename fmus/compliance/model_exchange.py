@@ -143,9 +143,10 @@ class CalledModelExchange(CalledInstance):
     def _checked(self, method: Callable[..., Any], *arguments: Any) -> Any:
         """Returns the result of a method; raises _StepEndsError if its function fails."""
         warned, result = self.last_status, method(*arguments)
-        if not 0 <= self.last_status <= WARNING:
-            raise _StepEndsError
-        self.last_status = max(warned, self.last_status)
+        if self.last_status or warned:
+            if not 0 <= self.last_status <= WARNING:
+                raise _StepEndsError
+            self.last_status = max(warned, self.last_status)
         return result
 
     def _advance(self, t: float, end: float, no_going_back: bool) -> None:

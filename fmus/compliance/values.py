@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -11,15 +10,13 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition
 from fmus.compliance.script import Expected, Reading
 from fmus.compliance.texts import without_folders
-from fmus.compliance.variable import Variable
+from fmus.compliance.variable import Variable, is_integer_of_fmi
 
-_TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+SAVES, SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 ANY_STEP, INTERPOLATES = "canHandleVariableCommunicationStepSize", "canInterpolateInputs"
 _LARGEST_REFERENCE = 2**32 - 1
-_LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
 _TINY = 1e-6  # beside a start value
-_PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
 
 
 def unless_claimed(capability: str) -> Condition:
@@ -32,49 +29,9 @@ def if_not_claimed(flag: str) -> Condition:
     return lambda fmu: f"{flag} is claimed" if fmu.claims(flag) else ""
 
 
-def start_value(v: Variable) -> Any:
-    """Returns the start value as the setter takes it; None if it is missing or cannot be parsed."""
-    text = v.start
-    if text is None or v.base_kind == "String":
-        return text
-    if v.base_kind == "Boolean":
-        return _TRUE.get(text.strip())
-    value = _held(v, v.number("start")) if v.typed.get("start") == text else None
-    if v.base_kind != "Integer":
-        return value
-    return int(value) if value is not None and _is_integer_of_fmi(value) else None
-
-
-def _held(v: Variable, value: float | None) -> float | None:
-    """Returns a value as the variable holds it, in single or double precision."""
-    return value if value is None or not v.is_single else struct.unpack("f", struct.pack("f", value))[0]
-
-
 def start_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Returns each variable that has a start value, with that value."""
-    return [(v, x) for v in variables if (x := start_value(v)) is not None]
-
-
-def other_value(v: Variable, part: float = _PART) -> Any:
-    """Returns another legal value near the start value, or None.
-
-    part: of the start value, or the nominal one if that is larger, by which a Real differs
-    """
-    start = start_value(v)
-    if start is None:
-        return None
-    if v.base_kind == "String":
-        return f"x{start}x"
-    if v.base_kind == "Boolean":
-        return 1 - start
-    if v.base_kind == "Integer":
-        near = sorted(v.items or (), key=lambda x: abs(x - start)) or (start + 1, start - 1)
-        return next((x for x in near if x != start and _within(v, x)), None)
-    change = part * max(abs(start), v.nominal or 1.0)
-    span = [x for x in (v.number("max"), v.number("min")) if x is not None]
-    change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
-    near = (_held(v, x) for x in (start + change, start - change))
-    return next((x for x in near if x is not None and _within(v, x) and x != start), None)
+    return [(v, x) for v in variables if (x := v.start_value) is not None]
 
 
 def far_values(v: Variable) -> list[Any]:
@@ -83,14 +40,14 @@ def far_values(v: Variable) -> list[Any]:
     A parameter keeps its sign unless its limits allow the other one: a negative period, for example, means
     nothing.
     """
-    start = start_value(v)
+    start = v.start_value
     if start is None:
         return []
     if v.base_kind == "String":
         return ["", _LONG_TEXT]
     if v.base_kind == "Integer":
         limits = {int(x) for x in (v.number("min"), v.number("max")) if x is not None}
-        return sorted(x for x in (v.items or limits) - {start} if _is_integer_of_fmi(x))
+        return sorted(x for x in (v.items or limits) - {start} if is_integer_of_fmi(x))
     if v.base_kind == "Boolean":
         return [1 - start]
     width = 3 * (abs(start) or v.nominal or 1.0)
@@ -98,22 +55,12 @@ def far_values(v: Variable) -> list[Any]:
     # some tools state a limit such as 1e-60 for "above 0"
     values = [x for x in values if x == 0.0 or abs(x) > _TINY * abs(start)]
     meant = [x for x in values if v.causality == "input" or x * start >= 0.0 or x in (v.low, v.high)]
-    return [x for x in (_held(v, x) for x in meant) if x is not None and _within(v, x) and x != start]
+    return [x for x in (v.held(x) for x in meant) if v.allows(x) and x != start]
 
 
 def read_value(value: Any) -> Any:
     """Returns a value that was read, as it is set: Strings as text; None for NULL."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-
-
-def _within(v: Variable, value: float) -> bool:
-    if v.base_kind == "Integer" and not _is_integer_of_fmi(value):
-        return False
-    return v.low <= value <= v.high and (not v.items or value in v.items)
-
-
-def _is_integer_of_fmi(value: float) -> bool:
-    return _LEAST_INTEGER <= value <= _LARGEST_INTEGER
 
 
 def _settable(may_be_set: Callable[[Variable], bool]) -> Callable[[FmuFile], list[Variable]]:
@@ -161,7 +108,7 @@ def unknown_reference(fmu: FmuFile) -> int:
 
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Returns each variable that has another legal value, with that value."""
-    return [(v, x) for v in variables if (x := other_value(v)) is not None]
+    return [(v, x) for v in variables if (x := v.other_value) is not None]
 
 
 _LARGE = 1e-5  # relative: a larger tolerance is relative to the variable itself

@@ -4,6 +4,7 @@ Wrong attributes raise no error.
 """
 
 import math
+import struct
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,8 +25,12 @@ INITIAL = {
     for fmi in (2, 3)
 }
 
+_TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+_PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
 
-@dataclass(frozen=True)
+
+# each stands for one element: identity is quicker to compare than all attributes
+@dataclass(frozen=True, eq=False)
 class Variable:
     """A variable, of FMI 2.0 unless it is a `Variable3`.
 
@@ -116,10 +121,45 @@ class Variable:
         """The start values: one for each element of an array, or one for all."""
         return [] if self.start is None else [self.start]
 
-    @property
-    def is_single(self) -> bool:
-        """Whether FMI 3.0 transfers it in single precision."""
-        return self.typed.get("single") == "true"
+    @cached_property
+    def start_value(self) -> Any:
+        """The start value as the setter takes it; None if it is missing or cannot be parsed."""
+        text = self.start
+        if text is None or self.base_kind == "String":
+            return text
+        if self.base_kind == "Boolean":
+            return _TRUE.get(text.strip())
+        value = self.number("start") if self.typed.get("start") == text else None
+        if value is None or self.base_kind != "Integer":
+            return value if value is None else self.held(value)
+        return int(value) if is_integer_of_fmi(value) else None
+
+    def held(self, value: float) -> float:
+        """Returns a value as FMI 3.0 transfers it: in single or double precision."""
+        is_single = self.typed.get("single") == "true"
+        return struct.unpack("f", struct.pack("f", value))[0] if is_single else value
+
+    def allows(self, value: float) -> bool:
+        """Whether a number is in its range, and an item of its enumeration."""
+        is_legal = self.base_kind != "Integer" or is_integer_of_fmi(value)
+        return is_legal and self.low <= value <= self.high and (not self.items or value in self.items)
+
+    @cached_property
+    def other_value(self) -> Any:
+        """Another legal value near the start value, or None."""
+        start = self.start_value
+        if start is None:
+            return None
+        if self.base_kind == "String":
+            return f"x{start}x"
+        if self.base_kind == "Boolean":
+            return 1 - start
+        near = sorted(self.items, key=lambda x: abs(x - start)) or [start + 1, start - 1]
+        if self.base_kind == "Real":
+            change = _PART * max(abs(start), self.nominal or 1.0)
+            change = min([change, *(abs(x - start) / 2 for x in (self.low, self.high) if x != start)])
+            near = map(self.held, (start + change, start - change))
+        return next((x for x in near if x != start and self.allows(x)), None)
 
     @property
     def is_settable(self) -> bool:
@@ -132,7 +172,7 @@ class Variable:
 _PARAMETERS = ("parameter", "calculatedParameter", "structuralParameter")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Variable3(Variable):
     """A variable of FMI 3.0, perhaps an array."""
 
@@ -223,6 +263,10 @@ def integer(text: str | None) -> int | None:
         return int(text) if text is not None else None
     except ValueError:
         return None
+
+
+def is_integer_of_fmi(value: float) -> bool:
+    return -(2**31) <= value < 2**31
 
 
 def is_true(text: str | None) -> bool:

@@ -6,6 +6,7 @@ of the process, and the process is ended with this reason.
 """
 
 import contextlib
+import gc
 import json
 import os
 import pickle
@@ -243,7 +244,12 @@ def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
     call = f"from {__name__} import serve; from {worker.__module__} import {worker.__name__} as worker"
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {paths!r}; {call}; serve(worker)"],
+        [
+            sys.executable,
+            "-P",
+            "-c",
+            f"import gc, sys; gc.disable(); sys.path[:] = {paths!r}; {call}; serve(worker)",
+        ],
         env={**os.environ, **temporary},
         start_new_session=True,
         # in place of a session, on Windows
@@ -256,6 +262,8 @@ def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
 
 def serve(worker: Worker) -> None:
     """Runs a worker in this process, whose standard input and output are for messages."""
+    # off for the imports: to look for garbage among what stays takes a tenth of their time
+    gc.enable()
     outgoing, incoming = _private_stream(sys.stdout.fileno(), "wb"), _private_stream(sys.stdin.fileno(), "rb")
     worker(Parent(incoming, outgoing))
 

@@ -96,8 +96,7 @@ def vectors_are_given_in_every_state(probe: Probe) -> Iterator[Row]:
 @differential("3.2.3", interface=MODEL_EXCHANGE)
 def states_are_set_by_reference(probe: Probe) -> Iterator[Row]:
     """In continuous-time mode fmi2SetReal sets continuous states too, as the table of 3.2.3 has it."""
-    states = [probe.fmu.variables[index - 1] for index in probe.fmu.state_derivatives.values()]
-    for pair in values.start_values(states):
+    for pair in values.start_values(probe.fmu.state_variables):
         yield from table.in_states(probe, "K", do.set_values([pair]))
 
 

@@ -216,7 +216,7 @@ def discrete_variables_are_frozen(probe: Probe) -> Iterator[str]:
         return action
 
     inputs = values.continuous_reals(probe, "input")
-    sets = (do.set_values([(v, x)]) for v in inputs for x in (*values.far_values(v), values.start_value(v)))
+    sets = (do.set_values([(v, x)]) for v in inputs for x in (*values.far_values(v), v.start_value))
     moved = mirrored(1), read, mirrored(-1), read
     first = do.start, do.expect(read), do.enter_continuous_time_mode
     varied = *first, *moved, _set_time(0.5), *moved, *chain(*((change, read) for change in sets))

@@ -98,7 +98,7 @@ def followers(
     """Returns the names of the unknowns that change with the value of a known, by more than an iterative
     solver leaves: two nearly equal values give a smaller change. Arguments as in `columns`.
     """
-    start = values.start_value(known)
+    start = known.start_value
     (column,) = columns(probe, before, [(known, (start, value))], after)
     names = column.changed() if column.is_whole else set[str]()
     if not names or not isinstance(start, float):
@@ -250,7 +250,7 @@ def _inputs_by_effect(probe: Probe) -> dict[str, list[Variable]]:
     """Returns continuous inputs by what their derivatives do to outputs that follow them."""
     inputs: dict[str, list[Variable]] = {"right": [], "none": [], "backwards": [], "too far": []}
     for v, value in values.other_values(values.continuous_reals(probe, "input")):
-        start = values.start_value(v)
+        start = v.start_value
         slope = (value - start) / probe.step_size
         # held, with another value, half way to that, and moving to it by its derivative
         ways = (start,), (value,), ((start + value) / 2,), (start, slope)

@@ -47,11 +47,6 @@ def _by_known(
     return [(known, unknowns) for known, unknowns in groups if unknowns][:_MOST_DERIVED]
 
 
-def _states(fmu: FmuFile) -> list[Variable]:
-    """Returns the continuous states that Derivatives exposes."""
-    return [fmu.variables[index - 1] for index in fmu.state_derivatives.values()]
-
-
 # dependencies
 
 
@@ -126,7 +121,7 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     for model exchange in continuous-time mode, with other inputs and states. In event mode they are the same.
     """
     settable = [v for v in values.settable_in_initialization(probe.fmu) if v.kind == "Real"]
-    states = _states(probe.fmu)
+    states = probe.fmu.state_variables
     if probe.fmu.is_model_exchange:
         knowns = [*values.continuous_reals(probe, "input"), *states]
     else:
@@ -172,7 +167,7 @@ def _beside_quotients(
     if refused and not exit_mode:
         raise CallError(refused.problem)
     # 4.2.4 allows reading only outputs and initial unknowns in initialization mode
-    held = [*_states(probe.fmu), *discrete_variables(probe.fmu)] if exit_mode else []
+    held = [*probe.fmu.state_variables, *discrete_variables(probe.fmu)] if exit_mode else []
     read = do.read({v.index: v for v in (*(v for _, group in judged for v in group), *held)}.values())
     knowns = list[tuple[Variable, Sequence[float]]]()
     for known, _ in judged:
@@ -209,7 +204,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     late = [(do.begin, *start.lead) for start in starts(probe)[1:]]
     modes = (
         (_INITIALIZATION, _AT_FIRST, [*inputs, *(known for known, _ in at_first)]),
-        *((way, _STEPPING, [*inputs, *_states(probe.fmu)]) for way in (_STEP, *late)),
+        *((way, _STEPPING, [*inputs, *probe.fmu.state_variables]) for way in (_STEP, *late)),
     )
     judged = [
         (mode, [u for name in sections for u in unknowns[name] if u.variable.kind == "Real"], knowns)

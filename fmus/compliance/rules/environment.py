@@ -14,7 +14,7 @@ from fmus.compliance.script import Action, CallError
 from fmus.compliance.traces.table import tour
 from fmus.fmi.binding import DISCARD
 
-_OWN_MEMORY, _SAVES = "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate"
+_OWN_MEMORY = "canNotUseMemoryManagementFunctions"
 _NAME = "system.subsystem[2].'instance with its name'.part"
 _CYCLES, _PARTS = 8, 4  # instances; parts of a second look, of as many
 LEAST_LEAK = 64  # bytes that each instance leaves
@@ -24,7 +24,7 @@ _WARM_UP = 18  # instances before: memory that the heap keeps for reuse hides th
 def _with_a_state(probe: Probe) -> tuple[Action, ...]:
     """Returns actions that set values, take a step, and save a state and free it, if the FMU claims that."""
     set_values = do.set_values(values.start_values(values.settable_in_initialization(probe.fmu)))
-    saved = (do.save(), do.free_state()) if probe.fmu.claims(_SAVES) else ()
+    saved = (do.save(), do.free_state()) if probe.fmu.claims(values.SAVES) else ()
     return do.initialise, set_values, do.exit_initialization_mode, do.step(), *saved
 
 
@@ -96,12 +96,12 @@ def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
     values, steps, states and fmi2Reset are called.
     """
     by_bytes = do.call("state_bytes", 0), do.copy(0, 1), do.free_state(1)
-    copied = by_bytes if probe.fmu.claims("canSerializeFMUstate") else ()
+    copied = by_bytes if probe.fmu.claims(values.SERIALISES) else ()
     states = do.save(), do.save(), *copied, do.restore(), do.free_state()
     actions = (
         *do.set_at_once(values.start_values(values.settable_before(probe.fmu)[:do.MOST_VARIABLES])),
         do.begin, do.step(3),
-        *(states if probe.fmu.claims(_SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
+        *(states if probe.fmu.claims(values.SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
     )  # fmt: skip
     counts = []
     for _ in range(cycles + _WARM_UP):

@@ -47,8 +47,8 @@ def follow_at_once(fmu: FmuFile) -> list[Variable]:
 
 def elements_of_vectors(fmu: FmuFile) -> dict[str, list[Variable]]:
     """Returns function -> the variables that are elements of its vector: states, and their derivatives."""
-    indices = fmu.state_derivatives.values(), fmu.state_derivatives.keys()
-    return {name: [fmu.variables[i - 1] for i in some] for name, some in zip(VECTORS, indices, strict=False)}
+    derivatives = [fmu.variables[index - 1] for index in fmu.state_derivatives]
+    return dict(zip(VECTORS, (fmu.state_variables, derivatives), strict=False))
 
 
 def _by_name(groups: dict[str, list[Variable]], values: dict[str, Sequence[Any]]) -> dict[str, Any]:

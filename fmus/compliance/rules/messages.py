@@ -80,12 +80,8 @@ def _formats(probe: Probe) -> list[Message]:
     return probe.once("log of formats", collected)
 
 
-def _declared(probe: Probe) -> list[str]:
-    return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
-
-
 def _undeclared(message: Message, probe: Probe) -> str:
-    declared = _declared(probe)
+    declared = probe.fmu.log_categories
     if message.category in (None, *declared):
         return ""
     return f"one of {', '.join(declared)}" if declared else "NULL, as no LogCategories are declared"
@@ -223,7 +219,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
       "a message carries the instance name {value}: expected {given_name!r}, its instance")),
     row("log-categories-are-declared", _log, _WRONG_CATEGORY),
     row("messages-have-a-category", _log,
-     (lambda m, probe: m.category is None and ", ".join(_declared(probe)),
+     (lambda m, probe: m.category is None and ", ".join(probe.fmu.log_categories),
       "a message has no category: expected one of {value}")),
     row("messages-have-no-trailing-line-break", _log,
      (lambda m, _: m.text.endswith(("\n", "\r")), "a message ends with a line break: {text!r:.80}")),
@@ -269,7 +265,7 @@ def _runs_with_logging(probe: Probe) -> list[_Run]:
 
 
 def _played_with_logging(probe: Probe) -> Iterator[_Run]:
-    declared = _declared(probe)
+    declared = probe.fmu.log_categories
     names, everything = [name for name in declared if name != _ALL], {None, *declared}
     on, off = (do.set_debug_logging(is_on) for is_on in (True, False))
     all_names = do.set_debug_logging(True, *names[::-1])
@@ -315,7 +311,7 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     fmi2False, also after fmi2Reset, and after fmi2SetDebugLogging with other categories, but logAll (2.2.4),
     or of another instance.
     """
-    declared = _declared(probe)
+    declared = probe.fmu.log_categories
     for run in _runs_with_logging(probe):
         for category, text in run.sent.items():
             if category not in run.enabled and (category in declared or not run.enabled):
@@ -328,8 +324,8 @@ def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled, by name or without names, arrive where their own, but
     logAll, is enabled.
     """
-    runs, categories = _runs_with_logging(probe), _declared(probe) or [None]
-    everything = [run for run in runs[:2] if run.enabled >= {*_declared(probe)}]
+    runs, categories = _runs_with_logging(probe), probe.fmu.log_categories or [None]
+    everything = [run for run in runs[:2] if run.enabled >= {*probe.fmu.log_categories}]
     for usual, run in product(everything, runs):
         for category in [name for name in categories if name != _ALL]:
             if category in run.enabled and category in usual.sent and category not in run.sent:
@@ -342,7 +338,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[Row]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
     """
-    choices = [*([category] for category in _declared(probe)), []]
+    choices = [*([category] for category in probe.fmu.log_categories), []]
     calls = [do.set_debug_logging(on, *choice) for on in (True, False) for choice in choices]
     yield Row("after fmi2SetDebugLogging", (*calls, do.begin, do.run(2)), failing="")
     yield from paths.rows(probe, paths.again)

@@ -150,7 +150,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     yield _set_and_read("at a communication point", *first, do.read_as(near))
     if probe.fmu.is_model_exchange:
         near = [(v, x) for v, x in near if v in values.continuous_reals(probe, "input")]
-        sets = (do.set_values([(v, values.start_value(v)), (v, x)]) for v, x in near)
+        sets = (do.set_values([(v, v.start_value), (v, x)]) for v, x in near)
         first = do.start, do.enter_continuous_time_mode, *sets
         yield _set_and_read("twice in continuous-time mode", *first, do.read_as(near))
 

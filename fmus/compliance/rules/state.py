@@ -11,10 +11,9 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.traces import paths
 
-_SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _KEPT_ADDRESSES = 8  # of blocks of one size, for reuse: glibc keeps 7 of a thread
 _SET_BACK = "in the state that was set back"
-_saves, _serialises = values.unless_claimed(_SAVES), values.unless_claimed(_SERIALISES)
+_saves, _serialises = values.unless_claimed(values.SAVES), values.unless_claimed(values.SERIALISES)
 _rule_of_states = partial(differential, "2.1.8", condition=_saves)
 
 

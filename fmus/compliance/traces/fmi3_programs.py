@@ -169,17 +169,7 @@ def _c_transfer(one: _Transfer, instance: str, verb: str) -> Iterator[str]:
     yield "}"
 
 
-C_HEAD = """\
-#include <dlfcn.h>
-#include <stdio.h>
-#include <stdlib.h>
-
-#include "fmi3Functions.h"
-
-static void *library;
-static char *location;
-#define CALL(name) ((name##TYPE *)dlsym(library, #name))
-
+_C_HELPERS = """
 static void log_message(fmi3InstanceEnvironment e, fmi3Status status, fmi3String category,
                         fmi3String message) {{
     printf("%s\\n", message);
@@ -229,37 +219,25 @@ static void completed(fmi3Instance a, int no_going_back) {{
 }}
 """
 
-C_MAIN = """
-int main(int argc, char **argv) {{
+C_VARIABLES = """
     fmi3Instance instances[{count}];
     fmi3FMUState states[{states}] = {{NULL}};
     fmi3Float64 reals[10000];
-    fmi3Byte *bytes = NULL;
-    size_t size = 0;
-    if (argc < 3) return printf("expected a library and a folder of resources\\n"), 1;
-    location = argv[2];
-    if (!(library = dlopen(argv[1], RTLD_NOW))) return printf("%s\\n", dlerror()), 1;
-{body}
-    return 0;
-}}
-"""
-_C_INTRODUCTION = """\
-/* {finding}
- * cc reproduce.c -I HEADERS_OF_FMI -ldl -o reproduce && ./reproduce UNPACKED/{library} UNPACKED/resources/
- */
-"""
+    fmi3Byte *bytes = NULL;"""
 
 
-def c_template(fmu: FmuFile) -> str:
-    """Returns the program without the calls."""
-    helpers = _C_EVENTS + (_C_COMPLETED if fmu.is_model_exchange else _C_STEPS)
-    return _C_INTRODUCTION + C_HEAD + helpers + C_MAIN
+def c_helpers(fmu: FmuFile) -> str:
+    """Returns the functions of the program before `main`."""
+    return _C_HELPERS + _C_EVENTS + (_C_COMPLETED if fmu.is_model_exchange else _C_STEPS)
 
 
-def c_parts(fmu: FmuFile) -> dict[str, Any]:
-    """Returns what the program has of an FMU."""
+def c_parts(fmu: FmuFile) -> dict[str, str]:
+    """Returns the parts of the program that depend on the FMU."""
     uses_events = "fmi3True" if fmu.uses & EVENT_MODE else "fmi3False"
-    options = "" if fmu.is_model_exchange else f"{uses_events}, fmi3False, NULL, 0, "
-    interface = "ModelExchange" if fmu.is_model_exchange else "CoSimulation"
-    last = "" if fmu.is_model_exchange else ", NULL"
-    return {"options": options, "interface": interface, "last": last, "uses_events": uses_events}
+    return {
+        "interface": fmu.interface,
+        "options": "" if fmu.is_model_exchange else f"{uses_events}, fmi3False, NULL, 0, ",
+        "last": "" if fmu.is_model_exchange else ", NULL",
+        "uses_events": uses_events,
+        "resources": "UNPACKED/resources/" if fmu.fmi == 3 else "file:///UNPACKED/resources",
+    }

@@ -14,15 +14,14 @@ from fmus.fmi.fmi3_description import fmi3_description
 from fmus.fmi.model_description import Element, ScalarVariable
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
-_CLAIMS = {  # of FMI 2.0 -> of FMI 3.0
-    "modelIdentifier": "modelIdentifier",
+FLAGS = {  # of FMI 2.0 -> of FMI 3.0, where the names differ
     "canGetAndSetFMUstate": "canGetAndSetFMUState",
     "canSerializeFMUstate": "canSerializeFMUState",
-    "canBeInstantiatedOnlyOncePerProcess": "canBeInstantiatedOnlyOncePerProcess",
-    "canHandleVariableCommunicationStepSize": "canHandleVariableCommunicationStepSize",
-    "hasEventMode": "hasEventMode",
+    "providesDirectionalDerivative": "providesDirectionalDerivatives",
 }
-_LISTS = {
+_OF_FMI2 = {new: old for old, new in FLAGS.items()}
+_NOT_JUDGED = "providesDirectionalDerivatives", "maxOutputDerivativeOrder"  # of FMI 3.0
+LISTS = {  # of ModelStructure in FMI 2.0 -> elements of FMI 3.0
     "Outputs": "Output",
     "Derivatives": "ContinuousStateDerivative",
     "InitialUnknowns": "InitialUnknown",
@@ -56,7 +55,7 @@ def as_fmi2(root: Any, variables: Sequence[Variable]) -> tuple[Any, list[Element
         for place, number in enumerate(scalars.get(v.reference, ())):
             _add_variable(listed, description.modelVariables[number - 1], v, scalars, place)
     structure = etree.SubElement(view, "ModelStructure")
-    for name, tag in _LISTS.items():
+    for name, tag in LISTS.items():
         unknowns = etree.SubElement(structure, name)
         for element in root.iterfind(f"ModelStructure/{tag}"):
             known = (scalars.get(integer(text), ()) for text in element.get("dependencies", "").split())
@@ -68,7 +67,8 @@ def as_fmi2(root: Any, variables: Sequence[Variable]) -> tuple[Any, list[Element
 
 
 def _add_interface(view: Any, interface: Any) -> None:
-    claims = {old: interface.get(new) for old, new in _CLAIMS.items() if new in interface.attrib}
+    stated = ((name, text) for name, text in interface.attrib.items() if name not in _NOT_JUDGED)
+    claims = {_OF_FMI2.get(name, name): text for name, text in stated}
     needed = is_true(interface.get("needsCompletedIntegratorStep"))
     etree.SubElement(view, interface.tag, claims, completedIntegratorStepNotNeeded=str(not needed).lower())
 

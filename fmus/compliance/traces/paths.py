@@ -49,7 +49,7 @@ again = partial(with_options, "with logging", {"watched": True}, 0.0)
 def asked(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
     """Yields a run with all questions that the states allow."""
     table = TABLES[probe.fmu.interface]
-    saved = (do.save(_SLOT), do.free_state(_SLOT)) if probe.fmu.claims("canGetAndSetFMUstate") else ()
+    saved = (do.save(_SLOT), do.free_state(_SLOT)) if probe.fmu.claims(values.SAVES) else ()
 
     def questions(state: str) -> list[Action]:
         return [*chain(*(calls(probe, state) for states, calls in table.questions if state in states))]

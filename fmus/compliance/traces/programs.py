@@ -1,7 +1,7 @@
 """A short trace of calls as text, and as programs of C and of FMPy that make the same calls."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain, groupby
 from typing import Any
@@ -109,17 +109,19 @@ _C_OTHERS = {"state": "states[{}]", "state&": "&states[{}]", "bytes": "bytes"}
 
 def c_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
     """Returns a program that loads the library of the unpacked FMU and makes the calls."""
-    body = chain(*(_c_lines(call, fmu) for call in trace.calls))
-    is_fmi3 = fmu.fmi == 3
-    return (fmi3_programs.c_template(fmu) if is_fmi3 else _C_PROGRAM).format(
-        **(fmi3_programs.c_parts(fmu) if is_fmi3 else {}),
+    lines, helpers, variables = map(_c_lines, trace.calls), _C_HELPERS, _C_VARIABLES
+    if fmu.fmi == 3:
+        lines = (fmi3_programs.c_lines(call, fmu, [*_c_lines(call)]) for call in trace.calls)
+        helpers, variables = fmi3_programs.c_helpers(fmu), fmi3_programs.C_VARIABLES
+    return f"{_C_HEAD}{helpers}{_C_MAIN}{variables}{_C_END}".format(
+        **fmi3_programs.c_parts(fmu),
         finding=finding.replace("*/", "* /"),
+        fmi=fmu.fmi,
         library=fmu.host_library,
         guid=json.dumps(fmu.root.get("guid", "")),
-        kind="fmi2ModelExchange" if fmu.is_model_exchange else "fmi2CoSimulation",
         count=_count(trace),
         states=_STATES,
-        body="\n".join(f"    {line}" for line in body),
+        body="\n".join(f"    {line}" for line in chain(*lines)),
     )
 
 
@@ -128,12 +130,8 @@ def _count(trace: ShortTrace) -> int:
     return max(call.instance for call in trace.calls) + 1
 
 
-def _c_lines(call: Call, fmu: FmuFile) -> Sequence[str]:
-    usual = [*_c_lines_of_fmi2(call)]
-    return fmi3_programs.c_lines(call, fmu, usual) if fmu.fmi == 3 else usual
-
-
-def _c_lines_of_fmi2(call: Call) -> Iterator[str]:
+def _c_lines(call: Call) -> Iterator[str]:
+    """Yields the lines that call a function of FMI 2.0."""
     if call.function in (CREATE, FREE):
         instance, arguments = f"instances[{call.instance}]", ", ".join(map(json.dumps, call.arguments))
         created, freed = f"{instance} = create({arguments});", f"CALL({FREE})({instance});"
@@ -171,21 +169,23 @@ def _c_argument(argument: Any) -> str:
     return f"({_C_TYPES.get(kind, 'fmi2String')}[]){{{elements}}}"
 
 
-_C_PROGRAM = """\
+_C_HEAD = """\
 /* {finding}
- * cc reproduce.c -I HEADERS_OF_FMI -ldl -o reproduce && ./reproduce UNPACKED/{library} file:///UNPACKED/resources
+ * cc reproduce.c -I HEADERS_OF_FMI -ldl -o reproduce && ./reproduce UNPACKED/{library} {resources}
  */
 #include <dlfcn.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "fmi2Functions.h"
+#include "fmi{fmi}Functions.h"
 
 static void *library;
 static char *location;
 #define CALL(name) ((name##TYPE *)dlsym(library, #name))
+"""
 
+_C_HELPERS = """
 static void log_message(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category,
                         fmi2String format, ...) {{
     va_list arguments;
@@ -198,19 +198,25 @@ static void log_message(fmi2ComponentEnvironment e, fmi2String name, fmi2Status 
 static fmi2CallbackFunctions callbacks = {{log_message, calloc, free, NULL, NULL}};
 
 static fmi2Component create(fmi2String name, fmi2Boolean logging) {{
-    return CALL(fmi2Instantiate)(name, {kind}, {guid}, location, &callbacks, fmi2False, logging);
+    return CALL(fmi2Instantiate)(name, fmi2{interface}, {guid}, location, &callbacks, fmi2False, logging);
 }}
+"""
 
-int main(int argc, char **argv) {{
+_C_MAIN = """
+int main(int argc, char **argv) {{"""
+
+_C_VARIABLES = """
     fmi2Component instances[{count}];
     fmi2FMUstate states[{states}] = {{NULL}};
     fmi2Real reals[10000];
     fmi2Integer numbers[10000];
     fmi2String texts[10000];
     fmi2EventInfo info;
-    char *bytes = NULL;
+    char *bytes = NULL;"""
+
+_C_END = """
     size_t size = 0;
-    if (argc < 3) return printf("expected a library and a URI\\n"), 1;
+    if (argc < 3) return printf("expected a library and {resources}\\n"), 1;
     location = argv[2];
     if (!(library = dlopen(argv[1], RTLD_NOW))) return printf("%s\\n", dlerror()), 1;
 {body}
@@ -228,7 +234,10 @@ def fmpy_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
     element = fmu.root.find("ModelExchange" if fmu.is_model_exchange else "CoSimulation")
     identifier = element.get("modelIdentifier") if element is not None else ""
     uses_events = bool(fmu.uses & EVENT_MODE)
-    helpers = fmi3_programs.FMPY_HELPERS.format(uses_events=uses_events) if fmu.fmi == 3 else ""
+    lines, helpers = map(_fmpy_line, trace.calls), ""
+    if fmu.fmi == 3:
+        lines = (fmi3_programs.fmpy_line(call, fmu, _fmpy_line(call)) for call in trace.calls)
+        helpers = fmi3_programs.FMPY_HELPERS.format(uses_events=uses_events)
     return _FMPY_PROGRAM.format(
         finding=finding,
         kind=kind,
@@ -237,7 +246,7 @@ def fmpy_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
         fmi=fmu.fmi,
         helpers=helpers,
         options=", eventModeUsed=True" if fmu.uses & EVENT_MODE else "",
-        body="\n".join(_fmpy_line(call, fmu) for call in trace.calls),
+        body="\n".join(lines),
     )
 
 
@@ -293,13 +302,8 @@ _FMPY_LINES = {
 }
 
 
-def _fmpy_line(call: Call, fmu: FmuFile) -> str:
-    if fmu.fmi == 3:
-        return fmi3_programs.fmpy_line(call, fmu, _fmpy_line_of_fmi2(call))
-    return _fmpy_line_of_fmi2(call)
-
-
-def _fmpy_line_of_fmi2(call: Call) -> str:
+def _fmpy_line(call: Call) -> str:
+    """Returns the line that calls a method of FMI 2.0."""
     plain = [x[1] if isinstance(x, list) else x for x in call.arguments]
     if call.function == "fmi2SetupExperiment":
         given, tolerance, start, stops, stop = plain

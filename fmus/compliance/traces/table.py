@@ -18,15 +18,13 @@ _MOST_ALONE = 10  # variables, each set in a separate call
 _MOST_FAILED = 5  # calls of a tour
 TOLERANCE, LARGE_TOLERANCE = 1e-5, 1e-3
 WITH_TOLERANCE = *do.begin_until(1000, TOLERANCE), do.step(2)
-_SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 
 Calls = Callable[[Probe, str], Iterable[Action]]
 
 
 def _log(probe: Probe, _: str) -> Iterator[Action]:
-    categories = [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
     yield do.set_debug_logging(False)
-    if categories:
+    if categories := probe.fmu.log_categories:
         yield do.set_debug_logging(True, *categories)
     yield do.set_debug_logging(True)
 
@@ -38,9 +36,9 @@ def _save(probe: Probe, _: str) -> Iterator[Action]:
         for method in methods:
             script.call(method, slot)
 
-    serialised = "state_size state_bytes " * probe.fmu.claims(_SERIALISES)
+    serialised = "state_size state_bytes " * probe.fmu.claims(values.SERIALISES)
     methods = f"save_state {serialised}set_state free_state".split()
-    if probe.fmu.claims(_SAVES):
+    if probe.fmu.claims(values.SAVES):
         yield action
 
 
