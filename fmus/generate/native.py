@@ -182,10 +182,12 @@ class ShippedLibrary(BoundInstance):
     def __init__(self, traced: Traced, guid: str, content: bytes, fmi: int = 2) -> None:
         block = traced.block
         # Windows does not remove a library that is loaded, and adds .dll to a name without a dot
-        with tempfile.TemporaryDirectory(prefix="l1-depth-build-", ignore_cleanup_errors=True) as folder:
-            path = Path(folder) / "fmu.library"
+        folder = tempfile.TemporaryDirectory(prefix="l1-depth-build-", ignore_cleanup_errors=True)
+        with ExitStack() as made:
+            path = Path(made.enter_context(folder)) / "fmu.library"
             path.write_bytes(content)
             super().__init__(Fmi3Library(path) if fmi == 3 else Library(path), Callbacks())
+            self._folder = made.pop_all()
         self.instantiate(block.name, guid, path, logging_on=False)
         self._saved, self._states = self.get_fmu_state(), traced.step.numel_out(0)
         self._calculated, self._variables = len(flatten(block.calculated)), 1 + len(block.variables)
@@ -205,6 +207,7 @@ class ShippedLibrary(BoundInstance):
         self.free_instance()
         self.library.unload()
         self.callbacks.close()
+        self._folder.close()
 
     def free_instance(self) -> None:
         self.library.fmi2FreeInstance(self.handle)

@@ -51,7 +51,7 @@ def test_build_writes_fmus_of_fmi_3_to_a_folder_of_their_own(command: Command, r
 def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(command: Command) -> None:
     assert command("new", "pid").stdout == "pid.py\ntest_pid.py\n"
     done = command("build", "pid.py", "DepthReference", "--flavour", "python", "--out", "out")
-    assert done.stdout == "out/Pid.fmu\nout/DepthReference.fmu\n"
+    assert done.stdout.replace("\\", "/") == "out/Pid.fmu\nout/DepthReference.fmu\n"
 
 
 def test_new_writes_a_block_without_depth_and_no_two_kinds_at_once(
@@ -63,7 +63,7 @@ def test_new_writes_a_block_without_depth_and_no_two_kinds_at_once(
     written = Path("room.py").read_text() + Path("test_room.py").read_text()
     assert "depth" not in written.replace("l1-depth build", "")
     done = command("build", "room.py", "--flavour", "python", "--out", "out")
-    assert done.stdout == "out/Room.fmu\n"
+    assert done.stdout.replace("\\", "/") == "out/Room.fmu\n"
 
 
 def test_build_writes_the_fmu_of_a_class_and_no_other(command: Command, refused: Command) -> None:
@@ -71,7 +71,7 @@ def test_build_writes_the_fmu_of_a_class_and_no_other(command: Command, refused:
         "class Own:\n    period = 0.1\n    def reset(self): pass\n"
         "    def step(self, time, inputs): return {'control_force': 1.0}\n"
     )
-    assert command("build", "own.py:Own", "--out", "out").stdout == "out/Own.fmu\n"
+    assert command("build", "own.py:Own", "--out", "out").stdout.replace("\\", "/") == "out/Own.fmu\n"
     assert "control_force" in command("inspect", "out/Own.fmu").stdout
     assert command("build", "own.py:Own").stdout == "fmus-built/python/Own.fmu\n"
     assert "no effect with own.py:Own, a Python class" in refused("build", "own.py:Own", "--all-platforms")
@@ -105,7 +105,7 @@ def test_broken_blocks_of_another_package_are_listed_and_stop_no_other(
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: offered)
     done = command("build", *names, "--flavour", "python", "--out", "out", expect=1)
-    assert done.stdout == "out/DepthReference.fmu\n"
+    assert done.stdout.replace("\\", "/") == "out/DepthReference.fmu\n"
     assert (
         "2 of 3 not built: Broken, Wrong: block 'Broken': its entry point no_such_package:BLOCK "
         in done.stderr
@@ -118,7 +118,7 @@ def test_what_cannot_be_imported_stops_no_other(command: Command) -> None:
     Path("bad.py").write_text("import math\nimport nunpy\n")
     options = ("--flavour", "python", "--out", "out")
     done = command("build", "good.py", "bad.py", "DepthReference", *options, expect=1)
-    assert done.stdout == "out/Good.fmu\nout/DepthReference.fmu\n"
+    assert done.stdout.replace("\\", "/") == "out/Good.fmu\nout/DepthReference.fmu\n"
     (line,) = done.stderr.splitlines()
     assert line.startswith("l1-depth: 1 of 3 not built: bad.py: ")
     assert "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'" in line

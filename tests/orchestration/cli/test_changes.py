@@ -152,7 +152,7 @@ def test_the_longest_name_is_set_and_a_string_keeps_what_the_command_line_has(
 ) -> None:
     described(tmp_path / "my.fmu", ("u",), ("y",), parameters=("version:String", "gain", "gain=1", "x=y"))
     (tmp_path / "one.toml").write_text(
-        f'[components]\nmy = "{tmp_path}/my.fmu"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
+        f"[components]\nmy = '{tmp_path / 'my.fmu'}'\n[experiment]\nstop_time = 1\nstep_size = 0.1\n"
         '[inputs]\n"my.u" = 0.0\n'
     )
     changes = Changes.of_options(settings=settings)

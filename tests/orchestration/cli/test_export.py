@@ -34,7 +34,7 @@ def test_a_package_is_written_to_a_file_or_into_a_folder(
 ) -> None:
     monkeypatch.setattr(ssp_write, "package", lambda scenario, path, *rest: path)
     (tmp_path / "there").mkdir()
-    assert command("package", short_scenario(), *out).stdout == f"{written}\n"
+    assert command("package", short_scenario(), *out).stdout == f"{Path(written)}\n"
 
 
 @pytest.mark.slow

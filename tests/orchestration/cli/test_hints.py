@@ -175,7 +175,7 @@ def test_a_file_of_a_class_without_a_block_offers_the_class(
     message = error("run", "short.toml", "--controller", "laws/mine.py")
     assert "no block at the top level of the file; expected BLOCK = Block(...), or " in message
     (offered,) = re.findall(r"or (\S+:\w+) for its class Pd$", message)
-    assert offered == "laws/mine.py:Pd"
+    assert offered == str(Path("laws/mine.py:Pd"))
     command("run", "short.toml", "--controller", offered, "--formats", "none")
 
 

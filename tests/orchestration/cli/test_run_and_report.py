@@ -132,7 +132,8 @@ def test_a_run_without_room_for_its_recording_is_refused_before_it_begins(
     refused: Command, short_scenario: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=100))
-    assert "out/short.csv: the recording needs about" in refused("run", short_scenario(), "--out", "out")
+    message = refused("run", short_scenario(), "--out", "out")
+    assert f"{Path('out/short.csv')}: the recording needs about" in message
     assert not list((tmp_path / "out").iterdir())
 
 
