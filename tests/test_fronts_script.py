@@ -340,5 +340,6 @@ def test_the_front_of_a_law_is_written_with_its_margins_and_drawn(
     assert mpc["error"] < 1.0  # cm
     assert law["spread"] == pytest.approx(spread(law["hypervolumes"]))
     assert law["is_converged"] == is_converged(law["least_errors_at_half"], law["least_errors"])
-    assert list(law["points"][0]["gains"]) == ["control_bandwidth", "observer_bandwidth"]
+    gains = ["control_bandwidth", "observer_bandwidth", "disturbance_ratio"]
+    assert list(law["points"][0]["gains"]) == gains
     assert all(math.isfinite(p["change_at_half_the_step"]) for p in law["points"])
