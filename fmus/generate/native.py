@@ -187,9 +187,9 @@ class ShippedLibrary(BoundInstance):
             path = Path(made.enter_context(folder)) / "fmu.library"
             path.write_bytes(content)
             super().__init__(Fmi3Library(path) if fmi == 3 else Library(path), Callbacks())
+            self.instantiate(block.name, guid, path, logging_on=False)
+            self._saved, self._states = self.get_fmu_state(), traced.step.numel_out(0)
             self._folder = made.pop_all()
-        self.instantiate(block.name, guid, path, logging_on=False)
-        self._saved, self._states = self.get_fmu_state(), traced.step.numel_out(0)
         self._calculated, self._variables = len(flatten(block.calculated)), 1 + len(block.variables)
         words = self._saved + (len(guid) // 8 + 1) * 8
         self._words = (ctypes.c_int64 * 4).from_address(words)

@@ -86,10 +86,10 @@ def test_a_library_is_compared_at_most_points_of_each_function(
     monkeypatch.setattr(Comparison, "check_compiled", counting)
     check_shipped(compared, library)
     # but where a result is no value of its type; half of the outputs belong to states that no step reached,
-    # and a few more where a step has no finite result
+    # and of the others 1 of 120 to a state that the library of L1Controller rounds otherwise
     assert shares["initial_state"] > 0.9
     assert shares["step"] > 0.9
-    assert shares["output"] >= 0.45
+    assert shares["output"] >= 119 / 240
 
 
 def test_an_fmu_whose_library_differs_is_not_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
