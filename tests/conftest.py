@@ -100,7 +100,11 @@ def _ignore_no_signal(is_worker: bool) -> None:
 def _collect_another_part_first(config: pytest.Config) -> None:
     """Starts each pytest-xdist process with different files, so it finds the other files compiled."""
     if config.args == config.getini("testpaths"):
-        files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
+        here = Path(__file__).parent
+        # a file that is named is collected, whatever collect_ignore says
+        ignored = {here / name for name in collect_ignore}
+        found = (path for path in here.rglob("test_*.py") if ignored.isdisjoint({path, *path.parents}))
+        files = sorted(map(str, found))
         worker: dict[str, Any] = config.workerinput  # type: ignore[attr-defined]
         start = len(files) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
         config.args = files[start:] + files[:start]
