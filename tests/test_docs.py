@@ -203,12 +203,13 @@ EXAMPLES = [
     for path in sorted((ROOT / package).rglob("*.py"))
     if ">>> " in path.read_text(encoding="utf-8")
 ]
+# a score runs all cases, an ensemble compiles
+LONG = ("score.py", "ensemble.py")
 
 
 @pytest.mark.parametrize(
     "path",
-    # a score runs all cases
-    [pytest.param(x, id=str(x), marks=pytest.mark.slow if x.name == "score.py" else []) for x in EXAMPLES],
+    [pytest.param(x, id=str(x), marks=pytest.mark.slow if x.name in LONG else []) for x in EXAMPLES],
 )
 def test_the_examples_of_docstrings_run_and_print_what_they_show(
     path: Path, request: pytest.FixtureRequest

@@ -86,6 +86,17 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
     ------
     SystemDefinitionError
         For an unknown name, or an action without bounds; in an episode the errors of `Run.step`.
+
+    Examples
+    --------
+    >>> from orchestration import load_scenario
+    >>> from orchestration.gym import task_of
+    >>> bounds = {"plant.voltage[1]": (-6.0, 6.0), "plant.voltage[2]": (-6.0, 6.0)}  # V
+    >>> env = FmuEnv(task_of(load_scenario("nominal-extended"), {"rmse": -1.0}, bounds=bounds))
+    >>> observation, info = env.reset(seed=1)
+    >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    >>> info
+    {'time': 0.02}
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # as its base declares it

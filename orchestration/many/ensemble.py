@@ -61,6 +61,18 @@ class Ensemble(LoadedSystem):
     ------
     EnsembleError
         For any other FMU, or without a compiler.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from orchestration import load_scenario
+    >>> nominal = load_scenario("nominal-extended")
+    >>> short = replace(nominal.experiment, stop_time=2.0)
+    >>> given = [{**short.parameters, "plant.inertia": inertia} for inertia in (5.0, 6.0, 7.0)]  # kg
+    >>> with Ensemble(nominal.system) as ensemble:
+    ...     result = ensemble.run([replace(short, parameters=parameters) for parameters in given])
+    >>> result["plant.depth"].shape, result.failures
+    ((3, 101), {})
     """
 
     def __init__(self, system: System, instructions: str | None = None, device: Device | None = None) -> None:
