@@ -5,11 +5,13 @@ No other module calls functions that some systems lack. Each call stands beside 
 
 import contextlib
 import ctypes
+import errno
 import os
 import signal
 import stat
 import sys
 import threading
+import time
 from collections.abc import Collection
 from pathlib import Path
 
@@ -25,6 +27,7 @@ CAN_WATCH = sys.platform == "linux"
 _ROOT = 0
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _MOST_READERS = 1 << 20  # bytes of a lock in Windows: a process that shares it takes one of them
+_WAIT_S = 0.02  # between two tries there
 
 
 def usable_processors() -> int:
@@ -82,16 +85,23 @@ def kill_group(leader: int) -> None:
 
 def lock(descriptor: int, shared: bool) -> None:
     """Locks a file; a shared lock waits for an exclusive one, which raises BlockingIOError at once."""
-    try:
-        if sys.platform == "win32":
-            # Windows has no shared lock: a reader locks one byte by chance, a writer all of them
-            os.lseek(descriptor, int.from_bytes(os.urandom(8)) % _MOST_READERS if shared else 0, os.SEEK_SET)
-            mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
-            msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
-        else:
-            fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except PermissionError as error:  # in Windows
-        raise BlockingIOError(*error.args) from None
+    if sys.platform != "win32":
+        fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return
+    while True:
+        # Windows has no shared lock: a reader locks one byte by chance, a writer all of them
+        os.lseek(descriptor, int.from_bytes(os.urandom(8)) % _MOST_READERS if shared else 0, os.SEEK_SET)
+        try:
+            # LK_LOCK would wait for ten seconds at most
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1 if shared else _MOST_READERS)
+            return
+        except OSError as error:
+            # of a lock of another process: EACCES in Windows, none in Wine
+            if error.errno not in (errno.EACCES, 0):
+                raise
+            if not shared:
+                raise BlockingIOError(*error.args) from None
+        time.sleep(_WAIT_S)
 
 
 def reason_for_distrust(status: os.stat_result) -> str:

@@ -2,6 +2,8 @@
 
 import os
 import sys
+import threading
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -25,3 +27,24 @@ def test_a_file_gets_its_size(platform: str, tmp_path: Path, monkeypatch: pytest
     with (tmp_path / "file").open("wb") as stream:
         operating_system.allocate(stream.fileno(), 5000)
     assert (tmp_path / "file").stat().st_size == 5000
+
+
+def test_readers_share_a_lock_and_wait_for_a_writer_who_waits_for_none(tmp_path: Path) -> None:
+    lock, path = operating_system.lock, tmp_path / "lock"
+    path.touch()
+    with ExitStack() as opened:
+        writer, other_writer, reader, other_reader = (
+            opened.enter_context(path.open("r+b")) for _ in range(4)
+        )
+        lock(writer.fileno(), shared=False)
+        with pytest.raises(BlockingIOError):
+            lock(other_writer.fileno(), shared=False)
+        waiting = threading.Thread(target=lock, args=(reader.fileno(), True), daemon=True)
+        waiting.start()
+        waiting.join(0.1)
+        assert waiting.is_alive()
+        writer.close()
+        waiting.join()
+        lock(other_reader.fileno(), shared=True)
+        with pytest.raises(BlockingIOError):
+            lock(other_writer.fileno(), shared=False)

@@ -49,7 +49,8 @@ function sweepSection(section, sweep) {
   const varied = sweep.columns.filter((column) => column.kind === "varied");
   const sampleColumn = { name: "sample", unit: "", kind: "sample", values: sweep.samples };
   const columns = [...varied, ...metrics, sampleColumn];
-  const histograms = metrics.map((metric) => [metric, histogramPlace(section, heading(metric))]);
+  // a grid is no sample of anything
+  const histograms = sweep.grid ? [] : metrics.map((metric) => [metric, histogramPlace(section, heading(metric))]);
   let sample = null; // the one chosen
 
 

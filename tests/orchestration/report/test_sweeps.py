@@ -186,10 +186,11 @@ def on_a_grid(path: Path, kinds: tuple[str, ...] = ()) -> tuple[list[float], lis
 
 
 def test_a_grid_of_two_numbers_is_a_map_of_each_metric(opened: Open, tmp_path: Path) -> None:
-    """The failed samples are no cells, and a press on a cell shows its sample."""
+    """The failed samples are no cells, and a press on a cell shows its sample. A grid has no histograms."""
     path = write_sweep(tmp_path, 12)
     heavy, light = on_a_grid(path)
     page = opened(path).choose(".mapped", "rmse [cm]")
+    assert not page.all(".histograms figure")
     rows = table.read(path)[0].to_pylist()
     cells = page.run("return document.querySelector('.map').points")
     assert {(heavy[c["x"]], light[c["y"]]): c["label"] for c in cells} == {

@@ -31,7 +31,7 @@ def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
     command: Command, boat: Path, tmp_path: Path
 ) -> None:
     designed = command("design", "--plant", boat, "--draws", "2", "--bandwidth", "0.7", "--out", "out").stdout
-    assert designed.splitlines()[-2:] == ["out/boat-l1.toml", "out/boat-pid.toml"]
+    assert designed.replace("\\", "/").splitlines()[-2:] == ["out/boat-l1.toml", "out/boat-pid.toml"]
     assert re.search(r"boat: 4 corners, 2 draws", designed)
     assert designed.count("7 of 7") == 3
     for ending, controller in (("l1", ()), ("pid", ("--controller", "PidDepthController"))):

@@ -54,7 +54,7 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
 ) -> None:
     done = command("fit", "rover.py", "--data", log, "--free", "mass,linear_drag", *COLUMNS)
     files = [f"results/rover-fit{end}" for end in (".toml", "-dive.csv", "-dive.json")]
-    assert done.stdout.splitlines()[-3:] == files
+    assert done.stdout.replace("\\", "/").splitlines()[-3:] == files
     written = tomllib.loads((tmp_path / files[0]).read_text())["parameters"]
     values = {name: entry["value"] for name, entry in written.items()}
     assert values.keys() == {"plant.mass", "plant.linear_drag"}

@@ -202,4 +202,4 @@ def test_a_missing_file_names_those_that_are_there(
         (tmp_path / file).touch()
     with pytest.raises(OrchestrationError) as caught:
         read_dive(tmp_path / name, vehicle)
-    assert str(caught.value) == f"{tmp_path}/{message}"
+    assert str(caught.value).replace("\\", "/") == f"{tmp_path.as_posix()}/{message}"

@@ -24,7 +24,8 @@ def test_every_figure_has_its_unit_its_assumption_and_its_source(
     """What a group assumes is printed once, and each part of the rest with its number."""
     short_scenario()
     done = command("margins", "short.toml", *HOLD, "--over", "controller.adaptation_gain=100", "--out", "out")
-    assert done.stdout.splitlines()[-2:] == ["out/margins.png", "out/margins.json"]
+    written_last = done.stdout.replace("\\", "/").splitlines()[-2:]
+    assert written_last == ["out/margins.png", "out/margins.json"]
     assert (tmp_path / "out" / "margins.png").read_bytes().startswith(b"\x89PNG")
     figures = written(tmp_path / "out")
     assert {figure["group"] for figure in figures.values()} == {
