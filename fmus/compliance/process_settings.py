@@ -63,8 +63,7 @@ class ProcessSettings:
     """Settings of this process in the C library and the operating system, compared with the first ones."""
 
     def __init__(self) -> None:
-        self._library: Any = ctypes.CDLL(None) if os.name == "posix" else None
-        linux = self._library if _SELF.is_dir() else None
+        linux: Any = ctypes.CDLL(None) if _SELF.is_dir() else None
         self._heap = getattr(linux, "mallinfo2", None)
         if self._heap is not None:
             self._heap.restype = MallocInformation
@@ -81,11 +80,6 @@ class ProcessSettings:
             self._environment = ctypes.POINTER(ctypes.c_char_p).in_dll(linux, "environ") if linux else None
         self._first_environment = self._variables()
         self._process, self._floating_point = self._process_now(), self._floating_point_now()
-
-    def flush(self) -> None:
-        """Flushes the output buffers of the C library."""
-        if self._library is not None:
-            self._library.fflush(None)
 
     def _floating_point_now(self) -> str:
         """Returns the floating-point control in words; "" if it is unknown."""

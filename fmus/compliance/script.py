@@ -67,7 +67,6 @@ class Reply:
     value: Any = None
     messages: Sequence[Message] = ()
     changed: Sequence[Sequence[str]] = ()
-    printed: int = 0
     is_step: bool = False
     reason: str = ""
     words: str = ""
@@ -239,7 +238,7 @@ class Script:
         """Takes the observations while the instance was created, freed, or played a part of the calls."""
         if method != "play":
             reply = self.creation if method == "create" else self.end
-            _, messages, reply.changed, reply.printed = answers
+            _, messages, reply.changed = answers
             reply.messages = [Message(*message) for message in messages]
             return
         self.answers = answers
@@ -247,14 +246,14 @@ class Script:
             if not answer:
                 continue
             try:
-                status, reply.value, messages, changed, printed, function, mode = answer
+                status, reply.value, messages, changed, function, mode = answer
                 reply.function = str(function)
                 # a step for model exchange is many calls
                 if status and self.probe.fmu.is_model_exchange:
                     reply.state = _MODES.get(mode, reply.state)
                 if status and (self.probe.fmu.is_model_exchange or self.probe.fmu.fmi == 3):
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
-                reply.status, reply.changed, reply.printed = int(status), changed or (), int(printed)
+                reply.status, reply.changed = int(status), changed or ()
                 reply.messages = tuple(Message(*message) for message in messages)
             except (TypeError, ValueError):
                 # the FMU controls the process that answers

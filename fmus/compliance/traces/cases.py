@@ -9,7 +9,6 @@ from typing import Any
 from fmus.compliance.differential import Row
 from fmus.compliance.probe import Probe, Shared
 from fmus.compliance.script import Expected, Message, Reading, Reply, Script
-from fmus.compliance.texts import PRINTED
 from fmus.compliance.traces.replay import CREATION, END, Case, Place
 from fmus.compliance.values import same, texts
 
@@ -80,8 +79,7 @@ def _speaks(known: Reply, subject: Any, replies: Sequence[Reply]) -> bool:
     if subject is None or subject is known:
         is_silent = not reply.messages and not known.messages
         return _returns(known, replies) and (is_silent or bool(reply.messages and known.messages))
-    changed = {setting for setting, *_ in reply.changed}
-    return subject.setting in changed or (subject.setting == PRINTED and reply.printed > 0)
+    return subject.setting in {setting for setting, *_ in reply.changed}
 
 
 def _differ(tolerance: float, scale: float, *seen: Any) -> bool:
