@@ -33,7 +33,7 @@ CALLED = "called"  # a file of the working folder: when the call that is under w
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = struct.Struct("d391sx")  # the content of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OWN = "observed_events", "cpu_time", "recorded_calls"  # which call nothing
+_OWN = "observed_events", "cpu_time"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
     DISCARD: (*_OWN, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
     ERROR: (*_OWN, "free_state", "fmi2SetDebugLogging"),
@@ -167,7 +167,7 @@ class LoadedFmu:
         return [value, instance.new_messages(), changed]
 
     def free(self, number: int) -> list[Any]:
-        """Frees an instance, unless it does not exist or is fatal; returns as `create`, without a value."""
+        """Frees an instance, unless it does not exist or is fatal; returns as `create`, with its calls."""
         instance = self._instances.pop(number)
         observed = self._observed(instance, instance.free)
         self._settings.restore()

@@ -238,7 +238,7 @@ class Script:
         """Takes the observations while the instance was created, freed, or played a part of the calls."""
         if method != "play":
             reply = self.creation if method == "create" else self.end
-            _, messages, reply.changed = answers
+            reply.value, messages, reply.changed = answers
             reply.messages = [Message(*message) for message in messages]
             return
         self.answers = answers

@@ -137,7 +137,7 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
 
 def _differences(probe: Probe) -> Iterator[str]:
     first, second = (probe.script(do.begin, do.run(5)).play().readings for _ in range(2))
-    yield from values.differing(first, second, "in a second instance")
+    return (found.text for found in values.differing(first, second, "in a second instance"))
 
 
 @behaviour_rule("2.1.5")

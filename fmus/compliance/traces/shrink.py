@@ -20,7 +20,6 @@ from fmus.compliance.traces.replay import (
     Place,
     ShortTrace,
     copies_of,
-    created,
     is_legal,
     recorded,
     rehearsed,
@@ -96,7 +95,7 @@ def shrunk_crash(
     scripts = [script for script in copies if script.calls] or copies[:1]
     calls = list[Call]()
     for number, script in enumerate(scripts):
-        calls += [created(number, script), *rehearsed(number, script, fmu)]
+        calls += rehearsed(number, script, fmu)
         calls += [Call(number, FREE, [], 0)] * is_free
     return ShortTrace(calls)
 
