@@ -20,7 +20,6 @@ _LINES = {  # of /proc/self/status
 }
 _STREAMS = [_SELF / "fd" / number for number in "012"]
 _MOST_OF_A_FILE = 1 << 16  # bytes
-_WIDTH = 26  # of the first column of /proc/self/limits
 _RESTORED = ("working directory", "file mode mask", "locale")
 _TINY = 2.2250738585072014e-308  # half of it is below the normal numbers
 _IN_USE, _IN_LARGE_BLOCKS = 7, 4  # uordblks, hblkhd
@@ -35,16 +34,9 @@ class MallocInformation(ctypes.Structure):
     _fields_ = (("numbers", ctypes.c_size_t * 10),)
 
 
-@cache  # it hardly ever changes, and is read around every call that is watched
-def _limits(content: bytes) -> dict[str, str]:
-    """Returns the limits that /proc/self/limits lists, by the names of their settings."""
-    lines = content.decode().splitlines()[1:]
-    return {f"limit {line[:_WIDTH].strip()}": " ".join(line[_WIDTH:].split()) for line in lines}
-
-
-def _content(name: str) -> bytes:
-    """Returns the content of a file of /proc/self, without the layers of `open`: it is read often."""
-    descriptor = os.open(_SELF / name, os.O_RDONLY)
+def _status() -> bytes:
+    """Returns the content of /proc/self/status, without the layers of `open`: it is read often."""
+    descriptor = os.open(_SELF / "status", os.O_RDONLY)
     try:
         return os.read(descriptor, _MOST_OF_A_FILE)
     finally:
@@ -131,13 +123,11 @@ class ProcessSettings:
         if os.name == "posix":
             timers = (signal.getitimer(kind)[0] > 0.0 for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL))
             settings["timers"] = " ".join(map(str, timers))
-            settings["priority"] = str(os.getpriority(os.PRIO_PROCESS, 0))
             settings["environment"] = self._environment_now()
         with suppress(OSError):
-            status = _content("status")
+            status = _status()
             found = ((name, line.search(status)) for name, line in _LINES.items())
             settings |= {name: b" ".join(match.groups()).decode() for name, match in found if match}
-            settings |= _limits(_content("limits"))
             settings["standard streams"] = " ".join(map(_target, _STREAMS))
         return settings
 

@@ -12,8 +12,9 @@ from fmus.errors import listed
 from fmus.fmi.binding import WARNING, status_name
 
 KINDS = ("Real", "Integer", "Boolean", "String")
+SETTERS = tuple(f"fmi2Set{kind}" for kind in KINDS)
 _LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
-_STATES = {  # function -> state that it leads to; `actions` has the states of other calls
+STATES = {  # function -> state that it leads to; `actions` has the states of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
     "fmi2Reset": "instantiated",
@@ -190,7 +191,7 @@ class Script:
         reply = Reply("", self.state, is_step=method in STEPS, script=self)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
-        self.state = _STATES.get(method, self.state)
+        self.state = STATES.get(method, self.state)
         return reply
 
     def set(self, variable: Variable, value: Any) -> Reply:

@@ -13,7 +13,7 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.lifecycle import MANY_STEPS
-from fmus.compliance.script import Action, CallError, Message, Reply, Script
+from fmus.compliance.script import SETTERS, Action, CallError, Message, Reply, Script
 from fmus.compliance.texts import ARGUMENTS, PENDED, UNWRITTEN
 from fmus.compliance.traces import generator, paths
 from fmus.compliance.traces.table import NAME, tour
@@ -32,7 +32,6 @@ _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 # as in "100 % sure" or "5% of"; C gives the blank no effect
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scpouxX](?=[a-zA-Z])")
 _CALLS_THAT_LOG = do.begin, do.step(2), do.glance_all, do.terminate
-_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
 
 
@@ -162,7 +161,7 @@ def _refused(probe: Probe) -> list[Reply]:
 
 def _illegal(reply: Reply, probe: Probe) -> str:
     """Returns what is wrong with a status, which is noted for all rules."""
-    may_discard = (*_SETTERS, "fmi2DoStep", *(_OF_STATES if probe.fmu.is_model_exchange else ()))
+    may_discard = (*SETTERS, "fmi2DoStep", *(_OF_STATES if probe.fmu.is_model_exchange else ()))
     is_discard = reply.status == DISCARD and not reply.function.endswith("Status")
     is_wrong = is_discard and reply.function not in may_discard
     is_wrong |= reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")

@@ -11,7 +11,7 @@ from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.probe import Probe
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import CallError, DefectError, Reply, Script
+from fmus.compliance.script import SETTERS, CallError, DefectError, Reply, Script
 from fmus.compliance.texts import STEPS
 from fmus.fmi.callbacks import CountingAllocator
 
@@ -19,7 +19,6 @@ CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"
 
 _DIGITS = 12  # of times that are shifted: sums of sizes are as exact
 
-_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 
 _TIMED = "do_step", "do_steps", "set_time", "fmi2SetTime"  # the first argument is a time
 
@@ -173,7 +172,7 @@ def is_legal(script: Script, calls: Sequence[tuple[Any, ...]]) -> bool:
     is_stepping = is_set = False
     for method, *_ in calls if not script.probe.fmu.is_model_exchange else ():
         is_stepping = method == "exit_initialization_mode" or (is_stepping and method != "fmi2Reset")
-        is_set = (is_set or method in _SETTERS) and is_stepping and method not in STEPS
+        is_set = (is_set or method in SETTERS) and is_stepping and method not in STEPS
         if is_set and method in ("get", "output_derivatives"):
             return False
     return True
@@ -206,7 +205,7 @@ def _context(script: Script, end: int) -> dict[Any, Any]:
                 context["time"] = round(t, 9)
             case ("fmi2SetContinuousStates", [states, *_]):
                 context["states"] = states
-            case (_, [references, _, some]) if method in _SETTERS:
+            case (_, [references, _, some]) if method in SETTERS:
                 context |= {(method, r): x for r, x in zip(references, some, strict=True)}
             case ("fmi2Reset", _):
                 context = {}
