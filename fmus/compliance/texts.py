@@ -5,7 +5,7 @@ It imports little, because a check starts several processes.
 
 import re
 
-ALLOCATIONS = 50_000
+ALLOCATIONS = 400_000
 """Number of objects between two collections of garbage: a check keeps most of what it makes."""
 
 USUAL_NAME = "instance"
