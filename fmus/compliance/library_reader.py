@@ -14,6 +14,7 @@ from fmus.extras import require
 
 _import: Any = partial(require, extra="check", purpose="a check of FMUs")
 _LOCAL, _UNDEFINED = "STB_LOCAL", "SHN_UNDEF"
+_MOST_EXPORTS = 1 << 16  # of a DLL: an ordinal has 16 bits
 _TABLES = "IMAGE_DIRECTORY_ENTRY_EXPORT", "IMAGE_DIRECTORY_ENTRY_IMPORT"
 
 
@@ -57,8 +58,9 @@ def _names(names: Iterable[str | bytes | None]) -> frozenset[str]:
 def _read_elf(content: bytes) -> Iterator[_Found]:
     library = _import("elftools.elf.elffile").ELFFile(io.BytesIO(content))
     found = {True: list[str](), False: list[str]()}
-    for segment in library.iter_segments("PT_DYNAMIC"):
-        for symbol in segment.iter_symbols():
+    # the segment of the loader has the same symbols, and is slower to read
+    for table in [*library.iter_sections("SHT_DYNSYM")] or library.iter_segments("PT_DYNAMIC"):
+        for symbol in table.iter_symbols():
             if symbol["st_info"]["bind"] != _LOCAL:
                 found[symbol["st_shndx"] != _UNDEFINED].append(symbol.name)
     yield f"ELF {library.get_machine_arch()}", _names(found[True]), _names(found[False])
@@ -66,7 +68,7 @@ def _read_elf(content: bytes) -> Iterator[_Found]:
 
 def _read_pe(content: bytes) -> Iterator[_Found]:
     pefile = _import("pefile")
-    library = pefile.PE(data=content, fast_load=True)
+    library = pefile.PE(data=content, fast_load=True, max_symbol_exports=_MOST_EXPORTS)
     library.parse_data_directories([pefile.DIRECTORY_ENTRY[name] for name in _TABLES])
     imports = (s.name for entry in getattr(library, "DIRECTORY_ENTRY_IMPORT", ()) for s in entry.imports)
     exports = getattr(getattr(library, "DIRECTORY_ENTRY_EXPORT", None), "symbols", ())
