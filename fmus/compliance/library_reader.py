@@ -4,7 +4,7 @@ import io
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import MissingExtraError
 from fmus.extras import require
 
-_import: Any = partial(require, extra="check", purpose="a check of FMUs")
+_NEEDED = "check", "a check of FMUs"
 _LOCAL, _UNDEFINED = "STB_LOCAL", "SHN_UNDEF"
 _MOST_EXPORTS = 1 << 16  # of a DLL: an ordinal has 16 bits
 _TABLES = "IMAGE_DIRECTORY_ENTRY_EXPORT", "IMAGE_DIRECTORY_ENTRY_IMPORT"
@@ -56,7 +56,8 @@ def _names(names: Iterable[str | bytes | None]) -> frozenset[str]:
 
 
 def _read_elf(content: bytes) -> Iterator[_Found]:
-    library = _import("elftools.elf.elffile").ELFFile(io.BytesIO(content))
+    elffile: Any = require("elftools.elf.elffile", *_NEEDED)
+    library = elffile.ELFFile(io.BytesIO(content))
     found = {True: list[str](), False: list[str]()}
     # the segment of the loader has the same symbols, and is slower to read
     for table in [*library.iter_sections("SHT_DYNSYM")] or library.iter_segments("PT_DYNAMIC"):
@@ -67,7 +68,7 @@ def _read_elf(content: bytes) -> Iterator[_Found]:
 
 
 def _read_pe(content: bytes) -> Iterator[_Found]:
-    pefile = _import("pefile")
+    pefile: Any = require("pefile", *_NEEDED)
     library = pefile.PE(data=content, fast_load=True, max_symbol_exports=_MOST_EXPORTS)
     library.parse_data_directories([pefile.DIRECTORY_ENTRY[name] for name in _TABLES])
     imports = (s.name for entry in getattr(library, "DIRECTORY_ENTRY_IMPORT", ()) for s in entry.imports)
@@ -77,13 +78,16 @@ def _read_pe(content: bytes) -> Iterator[_Found]:
 
 
 def _read_mach_o(content: bytes) -> Iterator[_Found]:
+    macho: Any = require("macholib.MachO", *_NEEDED)
+    names: Any = require("macholib.mach_o", *_NEEDED)
+    symbols: Any = require("macholib.SymbolTable", *_NEEDED)
     with tempfile.TemporaryDirectory(prefix="fmu-check-", ignore_cleanup_errors=True) as folder:
         path = Path(folder, "library")
         path.write_bytes(content)
-        library = _import("macholib.MachO").MachO(str(path), allow_unknown_load_commands=True)
+        library = macho.MachO(str(path), allow_unknown_load_commands=True)
         for header in library.headers:
-            table = _import("macholib.SymbolTable").SymbolTable(library, header)
-            machine = _import("macholib.mach_o").CPU_TYPE_NAMES.get(header.header.cputype, "unknown")
+            table = symbols.SymbolTable(library, header)
+            machine = names.CPU_TYPE_NAMES.get(header.header.cputype, "unknown")
             exports, imports = ((name for _, name in some) for some in (table.extdefsyms, table.undefsyms))
             yield f"Mach-O {machine}", _names(exports), _names(imports)
 
