@@ -9,7 +9,6 @@ from fmus.compliance.sentences import (
     NO_DEMANDS,
     Sentence,
     levels,
-    rule_table,
     sentences,
     sentences_of,
     titles,
@@ -26,12 +25,10 @@ The text of the standard is public: repository `modelica/fmi-standard`, tag `v2.
 which rules find it."""
 
 _NOT_CHECKED = "not checked"
-_OFF = ", ".join(f"`{name}`" for name in rule_table()["off"])
-_LEVELS = f"""\
+_LEVELS = """\
 The level of a rule is the consequence of breaking it. *error*: an importer that follows the standard fails,
 crashes or gets a wrong result. *deviation*: a sentence demands it, but no known importer fails because
-of it. *advice*: no sentence demands it. These rules are left out unless `--only` asks for them,
-because most FMUs break them without harm: {_OFF}."""
+of it. *advice*: no sentence demands it."""
 
 
 def page() -> str:

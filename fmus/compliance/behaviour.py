@@ -3,7 +3,7 @@
 import errno
 import re
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,6 @@ from fmus.compliance.texts import defect, without_folders
 from fmus.compliance.traces.show import what_shows
 from fmus.errors import HostError, MissingExtraError, listed
 from fmus.files import extract_archive
-from fmus.fmi.binding import platform_name
 from fmus.fmi.process import ProcessEndedError
 
 FUNDAMENTAL = (
@@ -44,7 +43,6 @@ _UNREAD = "the FMU cannot be read"
 ENDED = "the FMU ended the process with"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
 DEFAULT_TIMEOUT_S, DEFAULT_SEED = 30.0, 1
-_RANDOM_RUNS = "runs-are-not-random"
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 OF_INSTANCES = _AFTER_OTHERS, _SEVERAL = "instances-follow-each-other", "several-instances"
@@ -83,14 +81,13 @@ def judged(rule: Rule, subject: FmuFile | Probe, is_random: bool = False) -> Res
 
 
 def behaviour(
-    fmu: FmuFile, timeout: float = DEFAULT_TIMEOUT_S, of_libraries: Callable[[], Sequence[Result]] = tuple,
+    fmu: FmuFile, timeout: float = DEFAULT_TIMEOUT_S, of_libraries: Sequence[Result] = (),
     names: Collection[str] | None = None, seed: int = DEFAULT_SEED,
 ) -> Iterator[Result]:  # fmt: skip
     """Yields one result for each behaviour rule, of all interfaces that the FMU has.
 
     timeout: seconds for one rule
-    of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
-    process of the FMU has ended
+    of_libraries: the results of the rules of libraries
     names: of the rules that are judged, with those that they need; all by default. Broken ones of
     `OF_INSTANCES` are yielded too
     seed: of the random traces
@@ -111,7 +108,7 @@ def _of_interface(
     fmu: FmuFile,
     chosen: Sequence[Rule],
     timeout: float,
-    of_libraries: Callable[[], Sequence[Result]],
+    of_libraries: Sequence[Result],
     seed: int,
 ) -> dict[str, Result]:
     """Returns rule name -> result for the interface of the FMU that is judged."""
@@ -184,8 +181,7 @@ def obstacle(fmu: FmuFile) -> str:
         return "scheduled execution is not judged"
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return f"the description cannot be read: {fmu.description_problem}" if fmu.uses else _UNREAD
-    no_library = "" if fmu.host_library else f"no library for {platform_name()}"
-    return fmu.other_version or no_library
+    return fmu.other_version or fmu.no_host_library
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
@@ -200,9 +196,7 @@ class _Judge:
     results: rule name -> result
     """
 
-    def __init__(
-        self, fmu: FmuFile, timeout: float, of_libraries: Callable[[], Sequence[Result]], seed: int
-    ) -> None:
+    def __init__(self, fmu: FmuFile, timeout: float, of_libraries: Sequence[Result], seed: int) -> None:
         self._fmu, self._timeout, self._of_libraries = fmu, timeout, of_libraries
         self._folder = Path()
         self._is_alone = False  # whether each instance has its own process from now on
@@ -310,7 +304,7 @@ class _Judge:
         reasons = {_breach(result) for result in needed if result.rule is not rule} - {""}
         if others := reasons - {RANDOM}:
             return Result(rule, not_judged=min(others))
-        return judged(rule, probe, is_random=RANDOM in reasons and rule.name != _RANDOM_RUNS)
+        return judged(rule, probe, is_random=RANDOM in reasons)
 
     def _confirm(self, result: Result) -> bool:
         """Judges a broken rule again with none of the runs before, and keeps that result; returns whether
@@ -399,7 +393,7 @@ class _Judge:
         It may lack functions that no importer calls.
         """
         library = f"{self._fmu.host_library} "
-        broken = [r.rule.name for r in self._of_libraries() if any(m.startswith(library) for m in r.messages)]
+        broken = [r.rule.name for r in self._of_libraries if any(m.startswith(library) for m in r.messages)]
         loads = self.results.get("library-loads")
         gates = ["library-format", *(["library-exports"] if loads and loads.messages else [])]
         return next((f"{name}{IS_BROKEN}" for name in gates if name in broken), "")

@@ -68,7 +68,7 @@ class CalledInstance(parts.StateSlots):
       uses: of an instance of FMI 3.0, see `Fmi3Library`
       interface: fmi2Type, by default the interface of this class
       watched: whether settings of the process are compared before and after each call
-      recorded: whether all calls are kept for `recorded_calls`
+      recorded: whether `free` returns all calls
     announce: gets each call before it is made, as a text
     function, mode: the latest that was called, and the latest that changed the state
     """
@@ -119,6 +119,7 @@ class CalledInstance(parts.StateSlots):
             )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None
         self._kept += [*strings, structure]
+        self._record("fmi2Instantiate", [texts[0], int(bool(options.get("logging")))])
         if options.get("overwritten"):
             _overwrite(strings)
         return self.handle is not None
@@ -167,9 +168,14 @@ class CalledInstance(parts.StateSlots):
         self.last_status = self.status(function, *arguments)
         if self._calls is not None:
             given = parts.with_results(given, arguments) if is_result else given
-            self._calls.append([function, given, self.last_status])
+            self._record(function, given)
         if arrays:
             self.note(ARGUMENTS, before != [bytes(array) for array in arrays])
+
+    def _record(self, function: str, arguments: list[Any]) -> None:
+        """Notes a call, with its time and the latest status."""
+        if self._calls is not None:
+            self._calls.append([time.monotonic(), function, arguments, self.last_status])
 
     def call_with_lists(self, function: str, *arguments: Any) -> None:
         """Calls a function with lists as arrays. Strings are hexadecimal bytes; their memory is overwritten
@@ -258,10 +264,6 @@ class CalledInstance(parts.StateSlots):
                     extreme[2:] = value, t
         return extremes if observed else ""
 
-    def recorded_calls(self) -> list[list[Any]]:
-        """Returns function, arguments as `plain` has them, and status of each call until now."""
-        return self._calls or []
-
     def cpu_time(self) -> float:
         """Returns the CPU time of this process [s], which does not depend on the load of the machine."""
         return time.process_time()
@@ -300,9 +302,13 @@ class CalledInstance(parts.StateSlots):
         self.call_with_lists("fmi2GetRealOutputDerivatives", references, count, [order] * count, result)
         return list(result)
 
-    def free(self) -> None:
+    def free(self) -> list[list[Any]]:
+        """Returns time, function, arguments as `plain` has them, and status of each recorded call."""
         if self.handle is not None and self.last_status != binding.FATAL:
             self._tell("fmi2FreeInstance", ())
+            self.last_status = 0
+            self._record("fmi2FreeInstance", [])
             self.status("fmi2FreeInstance")
         self.handle = None
         self.callbacks.close()
+        return self._calls or []

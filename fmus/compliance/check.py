@@ -37,9 +37,7 @@ def check(
     every: Annotated[
         bool, typer.Option("--all", help="Show every rule that is judged and every finding, also accepted.")
     ] = False,
-    only: Annotated[
-        str, typer.Option(metavar="RULE,RULE", help="Judge only these rules, also rules that are off.")
-    ] = "",
+    only: Annotated[str, typer.Option(metavar="RULE,RULE", help="Judge only these rules.")] = "",
     waivers: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Accept the findings of this file (TOML).")
     ] = None,
@@ -75,9 +73,7 @@ def check(
     gc.set_threshold(ALLOCATIONS)
     from fmus.compliance import findings, report
     from fmus.compliance.behaviour import host_errors
-    from fmus.compliance.library_reader import check_lief
     from fmus.compliance.rule import all_rules
-    from fmus.compliance.sentences import rule_table
     from fmus.errors import HostError, OrchestrationError
     from fmus.files import write_text_atomically
 
@@ -86,7 +82,6 @@ def check(
         if rule:
             print(report.explain(rule, all_rules()), end="")
             return
-        check_lief()
         chosen = _chosen(only, names)
         paths = list(dict.fromkeys(fmus or []))
         outputs = {"--out": out, "--baseline": baseline if write_baseline else None}
@@ -94,12 +89,10 @@ def check(
         _refuse_outputs(outputs, [*paths, waivers, None if write_baseline else baseline])
         permitted = findings.read_waivers(waivers, names) if waivers else []
         known = findings.read_baseline(baseline) if baseline and not write_baseline else {}
-        off = [] if chosen else rule_table()["off"]
-        shown = chosen or [name for name in names if name not in off]
-        results = _judged(paths, shown, timeout, quiet, seed)
+        results = _judged(paths, chosen or names, timeout, quiet, seed)
         found, today = findings.findings_of(results), date.today()
         left = findings.without_known(findings.waived(found, permitted, today), known)
-        checked = report.Checked(results, left, fail_on, off, every)
+        checked = report.Checked(results, left, fail_on, every)
         of_chosen = [waiver for waiver in permitted if not chosen or waiver.rule in chosen]
         _tell(*findings.useless(of_chosen, found, today))
         if not chosen and (gone := findings.no_longer_found(known, found, paths)):

@@ -10,8 +10,10 @@ from fmus.compliance import actions as do
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Check, NotApplicableError, NotJudgedError, rule_of
 from fmus.compliance.script import Action, CallError, Script
+from fmus.compliance.traces.cases import case_of_difference, case_of_reply
 from fmus.compliance.traces.generator import excited
-from fmus.compliance.values import differing
+from fmus.compliance.traces.replay import Case
+from fmus.compliance.values import Difference, differing
 from fmus.fmi.binding import DISCARD
 
 ROUNDING = 1e-9  # relative: of values that are computed again
@@ -94,8 +96,8 @@ def differences(probe: Probe, rows: Iterable[Row]) -> Iterator[str]:
             first_idle = sorted(plays, key=lambda play: bool(play.calls))
             probe.play(*first_idle, keep_going=True)
         try:
-            for message in verdict(probe, row, usual, plays):
-                probe.shared.cases[message] = row, usual, plays
+            for message, case in verdict(probe, row, usual, plays):
+                probe.shared.cases[message] = case
                 yield message
         except NotJudgedError as reason:
             reasons.append(reason)
@@ -169,8 +171,9 @@ def _write(probe: Probe, row: Row) -> tuple[Row, Script, list[Script]]:
     return row, written(*usual), plays
 
 
-def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> Iterator[str]:
-    """Yields the differences of the played runs of a row: the varied one and those beside it.
+def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> Iterator[tuple[str, Case]]:
+    """Yields the differences of the played runs of a row, each with what shows it: the varied one and those
+    beside it.
 
     Raises NotJudgedError where the usual run fails, or the varied one in what may fail.
     """
@@ -188,20 +191,24 @@ def verdict(probe: Probe, row: Row, usual: Script, plays: Sequence[Script]) -> I
             raise NotJudgedError(f"a call fails that may: {failure.problem}")
         if failure:
             prefix = f"{_failing(row).format(state=failure.state)}{row.start.words}".removeprefix(", ")
-            yield f"{prefix}: {failure.problem}" if prefix else failure.problem
+            text = f"{prefix}: {failure.problem}" if prefix else failure.problem
+            yield text, case_of_reply(failure, plays)
             return
-        messages = list(_unlike(probe, row, usual, play))
-        yield from _steadily(probe, messages) if messages and usual.observed else messages
+        tolerance = probe.tolerance if row.tolerance is None else row.tolerance
+        differences = list(_unlike(row, tolerance, usual, play))
+        unsteady = _unsteady(probe) if differences and usual.observed else set[str]()
+        for found in differences:
+            if found.name not in unsteady:
+                yield found.text, case_of_difference(found, tolerance, usual, play, plays)
     for reply, finding, expected in errors:
         if finding and reply.status not in (None, *expected):
             text = finding.format(reply=reply)
-            yield f"{row.when}: {text}" if row.when else text
+            yield f"{row.when}: {text}" if row.when else text, case_of_reply(reply, plays)
 
 
-def _unlike(probe: Probe, row: Row, usual: Script, play: Script) -> Iterator[str]:
+def _unlike(row: Row, tolerance: float, usual: Script, play: Script) -> Iterator[Difference]:
     if not all(reading.ok for reading in (*play.readings, *usual.readings)):
         raise NotJudgedError("a call fails that may")
-    tolerance = probe.tolerance if row.tolerance is None else row.tolerance
     expected = [*play.expected, *usual.readings]
     compared = [(*seen, one) for one, seen in zip(itertools.cycle(expected), play.observed, strict=False)]
     for when, group in itertools.groupby(compared, lambda parts: parts[0]):
@@ -220,12 +227,6 @@ def _unsteady(probe: Probe) -> set[str]:
         if not all(script.succeeded for script in scripts):
             raise NotJudgedError("a run fails")
         first, second = (script.readings for script in scripts)
-        return {message.split(" is ", 1)[0] for message in differing(first, second, "")}
+        return {found.name for found in differing(first, second, "")}
 
     return probe.once("comparison of two runs", names)
-
-
-def _steadily(probe: Probe, messages: Iterable[str]) -> Iterator[str]:
-    """Returns the messages about variables that are the same in every instance."""
-    unsteady = _unsteady(probe)
-    return (message for message in messages if message.split(" is ", 1)[0] not in unsteady)

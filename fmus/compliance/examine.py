@@ -1,8 +1,6 @@
 """Judge an FMU by every rule, stage after stage. No content of the file raises an error."""
 
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 from fmus.compliance.behaviour import (
@@ -14,7 +12,6 @@ from fmus.compliance.behaviour import (
     judged,
 )
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.library_reader import check_lief, close_reader, no_library, start_reading
 from fmus.compliance.rule import Result, Stage, of_version, registered
 
 GATES = "archive-is-zip", "archive-has-description", "description-is-readable", *FUNDAMENTAL
@@ -29,14 +26,12 @@ def examine(
 ) -> list[Result]:
     """Returns one result for every rule, in the order of `all_rules`.
 
-    The process of LIEF stays for the next FMU until `close_reader`, or the end of this process.
-
     Parameters
     ----------
     path
         The FMU.
     timeout
-        Longest time [s] of one rule of behaviour, and of LIEF for one library.
+        Longest time [s] of one rule of behaviour.
     names
         Names of the rules to be judged, by default all.
     seed
@@ -53,26 +48,16 @@ def examine(
     OSError
         If the file does not exist.
     MissingExtraError
-        Without LIEF.
+        Without a library that reads libraries.
     """
-    check_lief()
     with path.open("rb"):
         fmu = FmuFile(path)
     of_archive = None if names is None else {*names, *GATES}
     runs = names is None or any(rule.name in names for rule in registered(Stage.BEHAVIOUR))
-    try:
-        # the rules of libraries report any error
-        with suppress(Exception):
-            if runs and not (_unread(fmu) or no_library(fmu)):
-                start_reading(fmu, timeout)
-        of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
-        of_libraries = cache(lambda: list(static_results(fmu, (Stage.LIBRARY,), None if runs else names)))
-        of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names, seed))
-    except BaseException:
-        # nobody will receive its answers
-        close_reader()
-        raise
-    results = [*of_files, *of_libraries(), *of_behaviour]
+    of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION), of_archive))
+    of_libraries = list(static_results(fmu, (Stage.LIBRARY,), None if runs else names))
+    of_behaviour = list(behaviour(fmu, timeout, of_libraries, of_archive if runs else names, seed))
+    results = [*of_files, *of_libraries, *of_behaviour]
     shown = {result.rule.name for result in results} if names is None else {*names}
     told = (*OF_INSTANCES, *(GATES if any(r.not_judged for r in results if r.rule.name in shown) else ()))
     return [r for r in results if r.rule.name in shown or (r.rule.name in told and r.messages)]

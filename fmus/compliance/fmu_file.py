@@ -13,7 +13,7 @@ from fmus.compliance.traces.fmi3_view import FLAGS, LISTS, as_fmi2
 from fmus.compliance.variable import Unknown, Variable, Variable3, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
-from fmus.fmi.binding import EVENT_MODE, EXAMINED, library_member
+from fmus.fmi.binding import EVENT_MODE, EXAMINED, library_member, platform_name
 from fmus.fmi.model_description import Element
 from fmus.fmi.variable_types import TYPES
 from fmus.platforms import FMPY
@@ -291,6 +291,15 @@ class FmuFile:
         identifier = self._attributes.get("modelIdentifier", "")
         is_name = C_IDENTIFIER.fullmatch(identifier)
         return (library_member(self.names, identifier, self.fmi) or "") if is_name else ""
+
+    @property
+    def no_host_library(self) -> str:
+        """Reason why this machine cannot run the FMU, with the libraries that there are, if so."""
+        folder = f"binaries/{platform_name()}/"
+        there = [path for path in self.names if path.startswith(folder) and not path.endswith("/")]
+        there_is = ", ".join(there or sorted({*self.libraries().values()})) or "none"
+        name = f"library {self._attributes.get('modelIdentifier')} for {platform_name()}"
+        return "" if self.host_library else f"no {name} (there is {there_is})"
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
         """Returns the content of a member.

@@ -33,7 +33,7 @@ CALLED = "called"  # a file of the working folder: when the call that is under w
 BEGAN = struct.Struct("d")  # seconds since the epoch; 0 if none is under way
 _ANNOUNCED = struct.Struct("d391sx")  # the content of that file
 _DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
-_OWN = "observed_events", "cpu_time", "recorded_calls"  # which call nothing
+_OWN = "observed_events", "cpu_time"  # which call nothing
 _AFTER_A_FAILURE = {  # status -> functions, and methods of `CalledInstance`, that FMI allows then
     DISCARD: (*_OWN, "free_state", "fmi2SetDebugLogging", "get", "status_of", "fmi2Terminate"),
     ERROR: (*_OWN, "free_state", "fmi2SetDebugLogging"),
@@ -60,17 +60,17 @@ def _loaded(
 class LoadedFmu:
     """A loaded library with its instances by number.
 
-    printed: the file that holds what the process prints; announced: the file `CALLED`
+    announced: the file `CALLED`
     interface: fmi2Type; optional: functions that may be missing
     elements: of `Fmi3Library`; None of FMI 2.0
     """
 
     def __init__(
-        self, announced: mmap.mmap, printed: Path, library: Path, resources: Path, interface: int,
+        self, announced: mmap.mmap, library: Path, resources: Path, interface: int,
         optional: Sequence[str], elements: Sequence["Element"] | None,
     ) -> None:  # fmt: skip
         self._library = _loaded(library, interface, optional, elements)
-        self._resources, self._printed = resources, printed
+        self._resources = resources
         self._class = CalledInstance if interface == CO_SIMULATION else CalledModelExchange
         self._announced = announced
         self._memory = CountingAllocator()
@@ -116,7 +116,7 @@ class LoadedFmu:
         _ANNOUNCED.pack_into(self._announced, 0, began, call)
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
-        """Creates an instance; returns whether the FMU did, messages, changed settings, bytes printed.
+        """Creates an instance; returns whether the FMU did, messages, changed settings.
 
         options: see `CalledInstance`
         """
@@ -126,7 +126,7 @@ class LoadedFmu:
         return self._observed(instance, instance.create)
 
     def play(self, number: int, calls: Sequence[Sequence[Any]], keep_going: bool) -> list[list[Any]]:
-        """Returns [status, value, messages, changed settings, bytes printed, latest function, latest that
+        """Returns [status, value, messages, changed settings, latest function, latest that
         changed the state] of calls, up to one that fails.
 
         keep_going: also after a call that fails; what FMI forbids then is not called, and has no answer
@@ -160,22 +160,14 @@ class LoadedFmu:
         return [instance.last_status, *observed, instance.function, instance.mode]
 
     def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:
-        """Returns the result of an action, the messages meanwhile, changed settings and printed bytes."""
-        changed, printed = [], 0
-        if instance.watched:
-            self._settings.flush()
-            printed = self._printed.stat().st_size
+        """Returns the result of an action, the messages meanwhile and changed settings."""
         value = action()
-        if not instance.watched:
-            self._settings.restore_floating_point()
-        else:
-            changed = instance.changed_settings()
-            self._settings.flush()
-            printed = self._printed.stat().st_size - printed
-        return [value, instance.new_messages(), changed, printed]
+        changed = instance.changed_settings() if instance.watched else []
+        self._settings.restore_floating_point()
+        return [value, instance.new_messages(), changed]
 
     def free(self, number: int) -> list[Any]:
-        """Frees an instance, unless it does not exist or is fatal; returns as `create`, without a value."""
+        """Frees an instance, unless it does not exist or is fatal; returns as `create`, with its calls."""
         instance = self._instances.pop(number)
         observed = self._observed(instance, instance.free)
         self._settings.restore()
@@ -192,8 +184,7 @@ def call_fmu(parent: Parent) -> None:
     os.chdir(folder)
     limit_process(MOST_MEMORY, MOST_OF_A_FILE)
     gc.set_threshold(ALLOCATIONS)
-    printed = Path(folder, "printed")
-    with printed.open("wb") as stream:
+    with Path(os.devnull).open("wb") as stream:
         for standard in (sys.stdout, sys.stderr):
             os.dup2(stream.fileno(), standard.fileno())
     with Path(folder, CALLED).open("w+b") as file:
@@ -206,7 +197,7 @@ def call_fmu(parent: Parent) -> None:
         BEGAN.pack_into(announced, 0, time.time())
         try:
             if calls and fmu is None:
-                fmu = LoadedFmu(announced, printed, *arguments)
+                fmu = LoadedFmu(announced, *arguments)
             results.extend(getattr(fmu, method)(*values) for method, *values in calls)
         except _DEFECTS as exception:
             error = defect(exception)

@@ -41,8 +41,8 @@ class Shared:
       without messages; not of scripts with forbidden calls, nor after fmi2SetDebugLogging
     log: messages of all instances with logging, each with the first reply that has it, but of calls or
       arguments that FMI forbids
-    seed: of the random traces; cases: message -> row with its usual run and the others,
-      which show it; crashes: message -> scripts by groups, some of which end the process
+    seed: of the random traces; cases: message -> `Case`, which shows it
+    crashes: message -> scripts by groups, some of which end the process
     failed: problem -> first failed call that has it
     subjects: message -> what it is about: a reply, a message of the FMU, or a change with its `reply`
     refused_steps: reason why the FMU refuses steps of the usual size, if so
@@ -56,7 +56,7 @@ class Shared:
     log: dict[Message, Reply] = field(default_factory=dict[Message, Reply])
     seed: int = 1
     crashes: dict[str, Sequence[Sequence[Script]]] = field(default_factory=dict[str, Any])
-    cases: dict[str, tuple[Any, Script, Sequence[Script]]] = field(default_factory=dict[str, Any])
+    cases: dict[str, Any] = field(default_factory=dict[str, Any])
     failed: dict[str, Reply] = field(default_factory=dict[str, Reply])
     subjects: dict[str, Any] = field(default_factory=dict[str, Any])
     refused_steps: str = ""

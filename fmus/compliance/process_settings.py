@@ -20,7 +20,6 @@ _LINES = {  # of /proc/self/status
 }
 _STREAMS = [_SELF / "fd" / number for number in "012"]
 _MOST_OF_A_FILE = 1 << 16  # bytes
-_WIDTH = 26  # of the first column of /proc/self/limits
 _RESTORED = ("working directory", "file mode mask", "locale")
 _TINY = 2.2250738585072014e-308  # half of it is below the normal numbers
 _IN_USE, _IN_LARGE_BLOCKS = 7, 4  # uordblks, hblkhd
@@ -35,16 +34,9 @@ class MallocInformation(ctypes.Structure):
     _fields_ = (("numbers", ctypes.c_size_t * 10),)
 
 
-@cache  # it hardly ever changes, and is read around every call that is watched
-def _limits(content: bytes) -> dict[str, str]:
-    """Returns the limits that /proc/self/limits lists, by the names of their settings."""
-    lines = content.decode().splitlines()[1:]
-    return {f"limit {line[:_WIDTH].strip()}": " ".join(line[_WIDTH:].split()) for line in lines}
-
-
-def _content(name: str) -> bytes:
-    """Returns the content of a file of /proc/self, without the layers of `open`: it is read often."""
-    descriptor = os.open(_SELF / name, os.O_RDONLY)
+def _status() -> bytes:
+    """Returns the content of /proc/self/status, without the layers of `open`: it is read often."""
+    descriptor = os.open(_SELF / "status", os.O_RDONLY)
     try:
         return os.read(descriptor, _MOST_OF_A_FILE)
     finally:
@@ -63,8 +55,7 @@ class ProcessSettings:
     """Settings of this process in the C library and the operating system, compared with the first ones."""
 
     def __init__(self) -> None:
-        self._library: Any = ctypes.CDLL(None) if os.name == "posix" else None
-        linux = self._library if _SELF.is_dir() else None
+        linux: Any = ctypes.CDLL(None) if _SELF.is_dir() else None
         self._heap = getattr(linux, "mallinfo2", None)
         if self._heap is not None:
             self._heap.restype = MallocInformation
@@ -81,11 +72,6 @@ class ProcessSettings:
             self._environment = ctypes.POINTER(ctypes.c_char_p).in_dll(linux, "environ") if linux else None
         self._first_environment = self._variables()
         self._process, self._floating_point = self._process_now(), self._floating_point_now()
-
-    def flush(self) -> None:
-        """Flushes the output buffers of the C library."""
-        if self._library is not None:
-            self._library.fflush(None)
 
     def _floating_point_now(self) -> str:
         """Returns the floating-point control in words; "" if it is unknown."""
@@ -137,13 +123,11 @@ class ProcessSettings:
         if os.name == "posix":
             timers = (signal.getitimer(kind)[0] > 0.0 for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL))
             settings["timers"] = " ".join(map(str, timers))
-            settings["priority"] = str(os.getpriority(os.PRIO_PROCESS, 0))
             settings["environment"] = self._environment_now()
         with suppress(OSError):
-            status = _content("status")
+            status = _status()
             found = ((name, line.search(status)) for name, line in _LINES.items())
             settings |= {name: b" ".join(match.groups()).decode() for name, match in found if match}
-            settings |= _limits(_content("limits"))
             settings["standard streams"] = " ".join(map(_target, _STREAMS))
         return settings
 

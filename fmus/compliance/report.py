@@ -31,14 +31,12 @@ _ACCEPTED = "accepted"  # outcome of a broken rule whose findings are all waived
 class Checked:
     """Results of a check and their findings, those accepted too.
 
-    fail_on: the least level that fails; off: names of rules that were left out; every: show each rule and
-    each finding
+    fail_on: the least level that fails; every: show each rule and each finding
     """
 
     results: Results
     findings: Sequence[Finding]
     fail_on: Level = Level.ERROR
-    off: Sequence[str] = ()
     every: bool = False
 
     @cached_property
@@ -179,10 +177,6 @@ def text(checked: Checked) -> str:
     for path in checked.results:
         parts += [f"{path}: {summary(checked, path)}", *(f"  {line}" for line in lines(checked, path))]
     parts += [total(checked)] if len(checked.results) > 1 else []
-    if checked.off:
-        parts.append(
-            f"not checked, because most FMUs break them without harm (see --only): {', '.join(checked.off)}"
-        )
     return "\n".join(parts) + "\n"
 
 

@@ -16,13 +16,13 @@ subject and the FMU, or the probe that calls it.
 """
 
 
-Row = tuple[str, Check, str]
-"""Name, check and clause of one rule; the clause names who demands it, if no sentence of FMI does."""
+Row = tuple[str, Check]
+"""Name and check of one rule."""
 
 
-def row(name: str, subjects: Callable[[Any], Iterable[T]], *cases: Case[T], clause: str = "") -> Row:
+def row(name: str, subjects: Callable[[Any], Iterable[T]], *cases: Case[T]) -> Row:
     """Returns a rule about subjects in an FMU, with one message for the first case that holds of each."""
-    return name, lambda source: dict.fromkeys(_told(source, subjects(source), *cases)), clause
+    return name, lambda source: dict.fromkeys(_told(source, subjects(source), *cases))
 
 
 def add_rows(
@@ -32,8 +32,8 @@ def add_rows(
 
     options: last and interface, as in `rule`
     """
-    for name, check, by in rows:
-        clause = by or ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(name)))
+    for name, check in rows:
+        clause = ", ".join(dict.fromkeys(sentence.clause for sentence in sentences_of(name)))
         add_rule(Rule(name, clause, "", stage, check, condition, module=module, **options))
 
 

@@ -12,8 +12,9 @@ from fmus.errors import listed
 from fmus.fmi.binding import WARNING, status_name
 
 KINDS = ("Real", "Integer", "Boolean", "String")
+SETTERS = tuple(f"fmi2Set{kind}" for kind in KINDS)
 _LEAST_CPU_TIME = 1e-6  # s, finer than any clock of a process
-_STATES = {  # function -> state that it leads to; `actions` has the states of other calls
+STATES = {  # function -> state that it leads to; `actions` has the states of other calls
     "fmi2EnterInitializationMode": "initialization mode", "fmi2EnterEventMode": "event mode",
     "fmi2EnterContinuousTimeMode": "continuous-time mode", "fmi2Terminate": "terminated",
     "fmi2Reset": "instantiated",
@@ -67,7 +68,6 @@ class Reply:
     value: Any = None
     messages: Sequence[Message] = ()
     changed: Sequence[Sequence[str]] = ()
-    printed: int = 0
     is_step: bool = False
     reason: str = ""
     words: str = ""
@@ -191,7 +191,7 @@ class Script:
         reply = Reply("", self.state, is_step=method in STEPS, script=self)
         self.calls.append((method, *arguments))
         self.replies.append(reply)
-        self.state = _STATES.get(method, self.state)
+        self.state = STATES.get(method, self.state)
         return reply
 
     def set(self, variable: Variable, value: Any) -> Reply:
@@ -239,7 +239,7 @@ class Script:
         """Takes the observations while the instance was created, freed, or played a part of the calls."""
         if method != "play":
             reply = self.creation if method == "create" else self.end
-            _, messages, reply.changed, reply.printed = answers
+            reply.value, messages, reply.changed = answers
             reply.messages = [Message(*message) for message in messages]
             return
         self.answers = answers
@@ -247,14 +247,14 @@ class Script:
             if not answer:
                 continue
             try:
-                status, reply.value, messages, changed, printed, function, mode = answer
+                status, reply.value, messages, changed, function, mode = answer
                 reply.function = str(function)
                 # a step for model exchange is many calls
                 if status and self.probe.fmu.is_model_exchange:
                     reply.state = _MODES.get(mode, reply.state)
                 if status and (self.probe.fmu.is_model_exchange or self.probe.fmu.fmi == 3):
                     reply.reason = reply.value if isinstance(reply.value, str) else ""
-                reply.status, reply.changed, reply.printed = int(status), changed or (), int(printed)
+                reply.status, reply.changed = int(status), changed or ()
                 reply.messages = tuple(Message(*message) for message in messages)
             except (TypeError, ValueError):
                 # the FMU controls the process that answers

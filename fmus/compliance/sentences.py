@@ -51,7 +51,7 @@ def _tables(fmi: int) -> Mapping[str, Mapping[str, Any]]:
 
 @cache
 def rule_table() -> Mapping[str, Any]:
-    """Returns `rules.toml`: level -> rule -> reason, and the lists "off", "both" and "pythonfmu" of rules."""
+    """Returns `rules.toml`: level -> rule -> reason, and the lists "both" and "pythonfmu" of rules."""
     return tomllib.loads((_FOLDER / "rules.toml").read_text(encoding="utf-8"))
 
 

@@ -5,7 +5,7 @@ It imports little, because a check starts several processes.
 
 import re
 
-ALLOCATIONS = 50_000
+ALLOCATIONS = 400_000
 """Number of objects between two collections of garbage: a check keeps most of what it makes."""
 
 USUAL_NAME = "instance"
@@ -16,7 +16,6 @@ VECTORS = (
 )  # fmt: skip
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS, PENDED = "arguments", "pending step"  # among what a call changed
-PRINTED = "printed"  # a change that is a number of bytes
 
 DEFECT = "the rule failed by a defect of this checker"
 # names of temporary folders are random: a finding would be another one in each run

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
@@ -139,10 +139,20 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
     return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
 
 
+class Difference(NamedTuple):
+    """A value that is not as expected, as text and as data; scale as in `same`."""
+
+    text: str
+    name: str
+    expected: Expected
+    got: Reading
+    scale: float
+
+
 def differing(
     expected: Sequence[Expected], got: Iterable[Reading], when: str, tolerance: float = 0.0,
     again: str = "{} again", where: Sequence[str] = (),
-) -> Iterator[str]:  # fmt: skip
+) -> Iterator[Difference]:  # fmt: skip
     """Yields each variable's first value that is not the same; a tolerance is relative to the variable's
     largest, or to its nominal value, but at most to the largest of all, or for a large tolerance to a
     hundredth of it; to the value itself where it is given.
@@ -150,11 +160,11 @@ def differing(
     again: template of the expected value; where: words for each reading, by default its number
     """
     rows = [row if isinstance(row, dict) else row.values for row in expected]
-    pairs = [(row, other.values, source) for row, other, source in zip(rows, got, expected, strict=True)]
-    if all(row == other for row, other, _ in pairs):
+    pairs = [(*group, group[1].values) for group in zip(rows, got, expected, strict=True)]
+    if all(row == other for row, _, _, other in pairs):
         return
     scales, nominals = dict[str, float](), dict[str, float]()
-    for row, _, source in pairs:
+    for row, _, source, _ in pairs:
         if isinstance(source, Reading):
             nominals |= {v.name: v.nominal for group in source.groups.values() for v in group}
             for name, value in row.items():
@@ -162,7 +172,7 @@ def differing(
                     scales[name] = max(abs(value), scales.get(name, 0.0))
     most = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
     named = set()
-    for i, (row, other, _) in enumerate(pairs):
+    for i, (row, reading, source, other) in enumerate(pairs):
         for name, value in other.items():
             value_read, value_expected = read_value(value), read_value(row[name])
             scale = max(scales.get(name, 0.0), min(nominals.get(name, 0.0), most))
@@ -171,4 +181,5 @@ def differing(
                 both = map(without_folders, texts(value_read, value_expected))
                 new, old = (text[:_LONGEST_TEXT] for text in both)
                 place = where[i] if where else f", step {i + 1}" if len(pairs) > 1 else ""
-                yield f"{name} is {new} {when}{place}: expected {again.format(old)}"
+                text = f"{name} is {new} {when}{place}: expected {again.format(old)}"
+                yield Difference(text, name, source, reading, 0.0 if isinstance(source, dict) else scale)

@@ -7,8 +7,6 @@ from pathlib import Path
 from fmus.compliance.examine import examine, static_results
 from fmus.compliance.fmu_file import FmuFile
 
-NO_LIBRARY = "runs-on-this-platform"  # warns of most static mutants, which hold sources alone
-
 
 @dataclass(frozen=True)
 class Mutant:
@@ -32,8 +30,7 @@ class Mutant:
 def broken_rules(path: Path, is_static: bool = True) -> dict[str, tuple[str, ...]]:
     """Rule -> its messages, of the rules that an FMU breaks."""
     results = static_results(FmuFile(path)) if is_static else examine(path)
-    ignored = NO_LIBRARY if is_static else ""
-    return {r.rule.name: r.messages for r in results if r.messages and r.rule.name != ignored}
+    return {r.rule.name: r.messages for r in results if r.messages}
 
 
 def unexpected(mutant: Mutant, broken: dict[str, tuple[str, ...]]) -> Iterator[str]:

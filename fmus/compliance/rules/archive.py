@@ -1,4 +1,4 @@
-"""Rules of the zip archive and of the shared libraries in it, which LIEF reads: FMI 2.0.5, 2.3."""
+"""Rules of the zip archive and of the shared libraries in it: FMI 2.0.5, 2.3."""
 
 import posixpath
 import re
@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 
 from fmus.compliance.fmu_file import DESCRIPTION, FmuFile
-from fmus.compliance.library_reader import Library, no_library, start_reading
+from fmus.compliance.library_reader import Library, read_libraries
 from fmus.compliance.rows import add_rows, anything, row
-from fmus.compliance.rule import IS_BROKEN, NotJudgedError, Stage, repeated, rule
-from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, platform_name, signatures
+from fmus.compliance.rule import Stage, repeated, rule
+from fmus.fmi.binding import CO_SIMULATION, MODEL_EXCHANGE, signatures
 from fmus.platforms import FMPY
 
 CLAUSE = "2.3 FMU Distribution"
@@ -120,49 +120,33 @@ add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
 # libraries
 
 _MACHINES = {
-    "linux64": "ELF X86_64", "linux32": "ELF X86", "x86_64-linux": "ELF X86_64", "aarch64-linux": "ELF ARM64",
-    "win64": "PE X86_64", "win32": "PE X86", "x86_64-windows": "PE X86_64", "aarch64-windows": "PE ARM64",
-    "darwin64": "MACHO X86_64", "x86_64-darwin": "MACHO X86_64", "aarch64-darwin": "MACHO ARM64",
+    "linux64": "ELF x64", "linux32": "ELF x86", "x86_64-linux": "ELF x64", "aarch64-linux": "ELF AArch64",
+    "win64": "PE AMD64", "win32": "PE I386", "x86_64-windows": "PE AMD64", "aarch64-windows": "PE ARM64",
+    "darwin64": "Mach-O x86_64", "x86_64-darwin": "Mach-O x86_64", "aarch64-darwin": "Mach-O ARM64",
 }  # fmt: skip
 _DECLARED = re.compile(r"^FMI3_Export +\w+ +(fmi3\w+);", re.MULTILINE)
 _TYPES = {"CoSimulation": CO_SIMULATION, "ModelExchange": MODEL_EXCHANGE}
 
 
+def _no_library(fmu: FmuFile) -> str:
+    return "" if fmu.libraries() else "there is no library"
+
+
 def _libraries(fmu: FmuFile) -> Sequence[Library]:
-    """Returns every library of a platform that LIEF can read. Raises NotJudgedError if it crashes or hangs on
-    one.
-    """
-    libraries, failure = start_reading(fmu).result
-    if failure:
-        raise NotJudgedError(f"library-format{IS_BROKEN}")
-    return [library for library in libraries if PLATFORM.fullmatch(fmu.libraries()[library.path])]
+    """Returns every library of a platform that can be read."""
+    return [one for one in read_libraries(fmu) if PLATFORM.fullmatch(fmu.libraries()[one.path])]
 
 
-@rule("2.3", Stage.LIBRARY, condition=no_library)
+@rule("2.3", Stage.LIBRARY, condition=_no_library)
 def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
-    libraries, failure = start_reading(fmu).result
-    if failure:
-        yield failure
-        return
     for path, folder in fmu.libraries().items():
         expected = _MACHINES.get(folder)
-        got = [library.machine for library in libraries if library.path == path]
+        got = [library.machine for library in read_libraries(fmu) if library.path == path]
         if not got and expected:
             yield f"{path} is not a shared library: expected one for {folder}"
         elif expected and expected not in got:
             yield f"{path} is {', '.join(got)}: expected {expected}"
-
-
-@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY)
-def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
-    """There is a library for the platform of this check, or its behaviour is not judged."""
-    here = platform_name()
-    there = [path for path in fmu.names if path.startswith(f"binaries/{here}/") and not path.endswith("/")]
-    there_is = ", ".join(there or sorted({*fmu.libraries().values()})) or "none"
-    for kind, stated in fmu.interfaces.items():
-        if not fmu.judged_as(kind).host_library:
-            yield f"{kind}: no library {stated.get('modelIdentifier')} for {here} (there is {there_is})"
 
 
 def _missing_functions(library: Library, fmu: FmuFile) -> str:
@@ -178,22 +162,13 @@ def _missing_functions(library: Library, fmu: FmuFile) -> str:
     return ", ".join(sorted(expected - library.exports))
 
 
-def _missing_libraries(library: Library, fmu: FmuFile) -> str:
-    is_documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
-    folder = posixpath.dirname(library.path)
-    missing = [name for name in library.needed if f"{folder}/{name}" not in fmu.paths]
-    return "" if is_documented else ", ".join(missing)
-
-
 def _own_memory(library: Library, fmu: FmuFile) -> str:
     is_claimed = fmu.claims("canNotUseMemoryManagementFunctions")
     return "" if is_claimed else ", ".join(sorted(library.imports & {"malloc", "calloc", "realloc"}))
 
 
-add_rows(__name__, Stage.LIBRARY, condition=no_library, rows=(
+add_rows(__name__, Stage.LIBRARY, condition=_no_library, rows=(
     row("library-exports", _libraries, (_missing_functions, "{path} does not export {value}")),
-    row("libraries-are-complete", _libraries, (_missing_libraries,
-        "{path} needs {value}: expected it in the FMU, or documentation/externalDependencies.txt")),
     row("memory-functions-are-callbacks", _libraries, (_own_memory,
         "{path} uses {value}: expected canNotUseMemoryManagementFunctions, or allocateMemory alone")),
 ))  # fmt: skip

@@ -21,7 +21,6 @@ from fmus.compliance.rules.files import BUILD_DESCRIPTION, TERMINALS
 from fmus.compliance.variable import Variable, integer, is_true, number
 from fmus.errors import nearest
 
-_DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\dZ")
 _UTF_8 = re.compile(rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.I)
 _NOT_UTF_8 = (
     lambda file, _: not _UTF_8.match(file[1]) and file[1][:40],
@@ -172,9 +171,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("name-and-guid-are-given", elements("."),
         (lambda root, _: not root.get("modelName", "-").strip(), "modelName is empty: expected one"),
         (lambda root, _: not root.get("guid", "-").strip(), "guid is empty: expected one")),
-    row("generation-date", elements("self::*[@generationDateAndTime]"),
-        (lambda root, _: not _DATE.fullmatch(root.get("generationDateAndTime")),
-         "generationDateAndTime {generationDateAndTime!r}: expected such as 2026-01-31T12:00:00Z")),
     row("log-categories-are-unique", elements(repeats("LogCategories/Category")),
         (anything, "log category {name!r} is defined again in line {subject.sourceline}: expected once")),
     row("log-category-descriptions", elements("LogCategories/Category"),

@@ -145,9 +145,6 @@ add_rows(__name__, Stage.FILE, condition=unreadable, rows=(
         (lambda folder, fmu: (not fmu.is_fmi3 and not PLATFORM.fullmatch(folder))
          or (fmu.version == "2.0" and _OF_FMI_3.fullmatch(folder)),
          "binaries/{subject}: expected win64, linux64, darwin64, aarch64-linux or the like")),
-    row("headers-of-fmi-are-left-out", lambda fmu: [*_files(fmu, _SOURCES), *_files(fmu, "binaries/")],
-        (lambda path, _: posixpath.basename(path) in _HEADERS,
-         "{subject}: expected it to be left out, the importer has it")),
     row("documentation-has-an-entry",
         lambda fmu: [[path for path in _files(fmu, "documentation/") if not path.startswith(_NO_PAGES)]],
         (lambda files, _: "documentation/index.html" not in files and ", ".join(files[:3]),
@@ -242,15 +239,6 @@ def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
             if path.endswith((".h", ".hpp")) or path in included:
                 what = f"{interface.tag}: SourceFiles lists {listed[path]}"
                 yield f"{what}, which others include: expected files to compile"
-
-
-@rule(CLAUSE, Stage.FILE, condition=unreadable)
-def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
-    """Sources include the header files that the FMU holds by quotes, not by angle brackets."""
-    headers = {path.removeprefix(_SOURCES) for path in _sources(fmu)}
-    for path, text in _sources(fmu).items():
-        for name in sorted(headers.intersection(_included(text, b"<"))):
-            yield f'{path}: #include <{name}>: expected "{name}", as it is in the FMU'
 
 
 @rule(CLAUSE, Stage.FILE, condition=unreadable)

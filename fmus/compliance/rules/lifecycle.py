@@ -124,39 +124,20 @@ def _cause(probe: Probe, script: Script, failure: Reply) -> str:
 
 @behaviour_rule("4.1.2")
 def runs_are_repeatable(probe: Probe) -> Iterator[str]:
-    """Instances give the same outputs for the same calls, if processes do so."""
-    different, is_random = _compared(probe)
-    if is_random:
-        raise NotJudgedError(RANDOM)
+    """Instances give the same outputs for the same calls, if processes do so: else nothing more is judged."""
+    different = [*_differences(probe)]
+    if different:
+        with probe.process.in_new_processes():
+            if any(_differences(probe)):
+                raise NotJudgedError(RANDOM)
     # equation (4.1): the generator of random numbers is a part of that state
     reason = "by 4.1.2 steps follow from the instance's own state: instances share no random numbers"
     yield from (f"{message}; {reason}" for message in different)
 
 
-@behaviour_rule("advice: no sentence knows random numbers")
-def runs_are_not_random(probe: Probe) -> Iterator[str]:
-    """Processes give the same outputs for the same calls; otherwise nothing else is judged."""
-    different, is_random = _compared(probe)
-    if is_random:
-        yield from different
-
-
-def _compared(probe: Probe) -> tuple[list[str], bool]:
-    """Returns how the outputs of a second instance differ, and whether they also differ in a new process."""
-
-    def compare() -> tuple[list[str], bool]:
-        different = list(_differences(probe))
-        if not different or probe.process.one_instance:
-            return different, bool(different)
-        with probe.process.in_new_processes():
-            return different, bool(list(_differences(probe)))
-
-    return probe.once("comparison of two instances", compare)
-
-
 def _differences(probe: Probe) -> Iterator[str]:
     first, second = (probe.script(do.begin, do.run(5)).play().readings for _ in range(2))
-    yield from values.differing(first, second, "in a second instance")
+    return (found.text for found in values.differing(first, second, "in a second instance"))
 
 
 @behaviour_rule("2.1.5")

@@ -13,8 +13,8 @@ from fmus.compliance.fmu_file import ONLY_ONCE
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, row
 from fmus.compliance.rules.lifecycle import MANY_STEPS
-from fmus.compliance.script import Action, CallError, Message, Reply, Script
-from fmus.compliance.texts import ARGUMENTS, PENDED, PRINTED, UNWRITTEN
+from fmus.compliance.script import SETTERS, Action, CallError, Message, Reply, Script
+from fmus.compliance.texts import ARGUMENTS, PENDED, UNWRITTEN
 from fmus.compliance.traces import generator, paths
 from fmus.compliance.traces.table import NAME, tour
 from fmus.fmi import binding
@@ -32,7 +32,6 @@ _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
 # as in "100 % sure" or "5% of"; C gives the blank no effect
 _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scpouxX](?=[a-zA-Z])")
 _CALLS_THAT_LOG = do.begin, do.step(2), do.glance_all, do.terminate
-_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 _OF_STATES = "fmi2SetContinuousStates", "fmi2GetDerivatives", "fmi2GetEventIndicators", "fmi2GetReal"
 
 
@@ -119,7 +118,7 @@ def _is_of_floating_point(change: _Change, _: Probe) -> str:
 
 def _changes(probe: Probe) -> Iterator[_Change]:
     """Yields what functions change in the tour of the states, in runs with other inputs, where the status
-    of a step is asked for, and in the default experiment; the number of bytes is printed after them.
+    of a step is asked for, and in the default experiment.
     """
     scripts = [tour(probe).script, *generator.played(probe)]
     if not probe.fmu.is_model_exchange and probe.fmu.fmi == 2:
@@ -136,8 +135,6 @@ def _changes(probe: Probe) -> Iterator[_Change]:
             told.add((setting, before, after))
             function = before if setting in (ARGUMENTS, UNWRITTEN) else reply.function
             yield _Change(function, setting, before, after, reply)
-        if reply.printed:
-            yield _Change(reply.function, PRINTED, "", str(reply.printed), reply)
 
 
 def _set_odd_parameters(probe: Probe) -> None:
@@ -164,7 +161,7 @@ def _refused(probe: Probe) -> list[Reply]:
 
 def _illegal(reply: Reply, probe: Probe) -> str:
     """Returns what is wrong with a status, which is noted for all rules."""
-    may_discard = (*_SETTERS, "fmi2DoStep", *(_OF_STATES if probe.fmu.is_model_exchange else ()))
+    may_discard = (*SETTERS, "fmi2DoStep", *(_OF_STATES if probe.fmu.is_model_exchange else ()))
     is_discard = reply.status == DISCARD and not reply.function.endswith("Status")
     is_wrong = is_discard and reply.function not in may_discard
     is_wrong |= reply.status == PENDING and reply.function not in ("fmi2DoStep", "fmi2GetStatus")
@@ -176,9 +173,7 @@ def _illegal(reply: Reply, probe: Probe) -> str:
 
 
 _WRONG_STATUS = (_illegal, "{function} {status_name}{value}")
-_WRONG_CATEGORY = (_undeclared, "a message has the category {category!r}: expected {value}")
 add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
-    row("log-category-of-a-refusal-is-declared", _refusal, _WRONG_CATEGORY),
     row("formats-of-messages-are-legal", _formats,
      (lambda m, _: _NAME_WITH_A_PERCENT_SIGN in m.text,
       f"the format {{text!r:.80}} holds the name {_NAME_WITH_A_PERCENT_SIGN!r}: expected its % doubled"),
@@ -197,7 +192,7 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
      (_is_of_floating_point, "{function} changes the {value}: expected it restored")),
     row("process-settings-are-restored", _changes,
      (lambda c, probe: not _is_of_floating_point(c, probe)
-      and c.setting not in (ARGUMENTS, UNWRITTEN, PENDED, PRINTED)
+      and c.setting not in (ARGUMENTS, UNWRITTEN, PENDED)
       and (c.after or "as at first", c.before or "no change"),
       "{function} changes the {setting}: {value[0]}, expected {value[1]}")),
     row("arguments-are-not-written", _changes,
@@ -206,10 +201,6 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
     row("values-are-written", _changes, (lambda c, _: c.setting == UNWRITTEN,
       "{function} returned ok and left a value unwritten, or wrote no Boolean: expected each written")),
     row("statuses-are-legal", lambda probe: tour(probe).script.replies, _WRONG_STATUS),
-    row("nothing-is-printed", _changes,
-     (lambda c, _: c.setting == PRINTED,
-      "{function} prints {after} bytes to standard output or standard error: expected none"),
-     clause="advice: messages belong to the logger"),
 ))  # fmt: skip
 add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
     row("messages-have-the-instance-name", _log,
@@ -217,12 +208,11 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
       "the logger was called without the componentEnvironment of its instance"),
      (lambda m, _: m.instance != m.given_name and ("NULL" if m.instance is None else repr(m.instance)),
       "a message carries the instance name {value}: expected {given_name!r}, its instance")),
-    row("log-categories-are-declared", _log, _WRONG_CATEGORY),
+    row("log-categories-are-declared", _log,
+     (_undeclared, "a message has the category {category!r}: expected {value}")),
     row("messages-have-a-category", _log,
      (lambda m, probe: m.category is None and ", ".join(probe.fmu.log_categories),
       "a message has no category: expected one of {value}")),
-    row("messages-have-no-trailing-line-break", _log,
-     (lambda m, _: m.text.endswith(("\n", "\r")), "a message ends with a line break: {text!r:.80}")),
     row("variables-in-messages-exist", _log,
      (_unknown_variable, "a message refers to {value}, which is no variable: {text!r:.80}"),
      (lambda m, _: "#" in _REFERENCE.sub("", m.text.replace("##", "")),
@@ -231,9 +221,6 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(
       "a message has the status {status}: expected an fmi2Status")),
     row("messages-are-utf-8", _log,
      (lambda m, _: "\ufffd" in m.text, "a message is not UTF-8: {text!r:.80}")),
-    row("messages-have-a-text", _log,
-     (lambda m, _: not m.text.strip(), "a message has no text"),
-     clause="advice: a message is read for its text"),
     row("refusals-have-legal-statuses", lambda probe: list(probe.shared.refusals.values()), _WRONG_STATUS),
     row("refusals-are-logged", _refused,
      # fmi2SetDebugLogging may have turned logging off

@@ -9,14 +9,13 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.rules.events import follow_at_once
-from fmus.compliance.script import KINDS
+from fmus.compliance.script import SETTERS
 from fmus.compliance.traces import paths
 from fmus.compliance.traces.generator import excited
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING
 
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _EXACT = 1e-12
-_SETTERS = [f"fmi2Set{kind}" for kind in KINDS]
 
 
 def _rows_of_starts(probe: Probe, when: str, *before: do.Action) -> Iterator[Row]:
@@ -194,7 +193,7 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[str]:
     yield from differences(probe, rows)
     for row in rows:
         failure = do.played(probe, row.varied, logging=False).failure
-        if failure and failure.function in _SETTERS and do.played(probe, row.usual or ()).succeeded:
+        if failure and failure.function in SETTERS and do.played(probe, row.usual or ()).succeeded:
             told = do.played(probe, row.varied, logging=True).failure or failure
             yield f"{row.when}: {told.problem}"
 

@@ -27,25 +27,6 @@ _APART = 0.4  # of the change over two steps: a rough solver, but not half a ste
 
 
 @differential("2.1.6")
-def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[Row]:
-    """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
-    the instance back, where the same holds of another stop time with a tolerance.
-    """
-    tolerance = table.TOLERANCE if table.run_with_tolerance(probe).succeeded else None
-    beyond = "a step to {} s {{reply.status_name}}: expected error beyond the stop time {} s"
-    first, again = (
-        do.error(do.step(), beyond.format(*(f"{probe.point(i):g}" for i in (stop + 1, stop))))
-        for stop in (3, 1)
-    )
-    until = *do.begin_until(3), do.step(3)
-    failing = f"with the stop time {probe.point(3):g} s, before it"
-    yield Row("", (*until, first), (), failing)
-    after = "after fmi2Reset from a step beyond the stop time"
-    varied = *until, do.ignore(do.step()), do.reset, *do.begin_until(1, tolerance), do.step(), again
-    yield Row(after, varied, ())
-
-
-@differential("2.1.6")
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[Row]:
     """A tolerance or a stop time that is not defined has no effect."""
     before, early = probe.start_time - 1.0, probe.point(1)

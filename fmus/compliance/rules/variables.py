@@ -154,11 +154,6 @@ def _several(values: Iterable[object]) -> str:
     return ", ".join(sorted(texts)) if len(texts) > 1 else ""
 
 
-def _variabilities(alias: _AliasSet, _: FmuFile) -> str:
-    is_given = any(v.causality in ("input", "parameter", "independent") for v in alias.members)
-    return "" if is_given else _several({v.variability for v in alias.members} - {"constant"})
-
-
 add_rows(__name__, Stage.DESCRIPTION, rows=(
     row("variable-names-are-unique",
         lambda fmu: repeated([*(v.name for v in fmu.variables), *fmu.root.xpath(_ALIASES)]).items(),
@@ -234,6 +229,4 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "{names}: expected all constant or none, got {value} constant"),
         (lambda alias, _: _several(_VALUES.get(v.base_kind, str)(v.start) for v in alias.members),
          "{names} are constant: expected one start value, got {value}")),
-    row("alias-variability", _alias_sets,
-        (_variabilities, "{names} are {value}: expected the highest for all")),
 ))  # fmt: skip

@@ -1,42 +1,35 @@
-"""Findings of rows with what showed them: a call that fails, or two readings that differ."""
+"""Findings with what showed them: a call that fails, or two readings that differ."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from fmus.compliance.differential import Row
-from fmus.compliance.probe import Probe, Shared
-from fmus.compliance.script import Expected, Message, Reading, Reply, Script
-from fmus.compliance.texts import PRINTED
+from fmus.compliance.probe import Shared
+from fmus.compliance.script import Message, Reading, Reply, Script
 from fmus.compliance.traces.replay import CREATION, END, Case, Place
-from fmus.compliance.values import same, texts
+from fmus.compliance.values import Difference, same, texts
 
 
-def case_of(probe: Probe, row: Row, usual: Script, plays: Sequence[Script], message: str) -> Case | None:
-    """Returns the case of a message about a row that was played, if it is about a call or a variable."""
-    for play in plays:
-        others = [other for other in plays if other is not play]
-        if failure := play.failure:
-            place = 0, _index(play, failure)
-            return Case([play, *others], [place], partial(_returns, failure))
-        found = next(_unlike(row, usual, play, message.split(" is ", 1)[0]), None)
-        if found is not None:
-            reading, name, one, scale = found
-            tolerance = probe.tolerance if row.tolerance is None else row.tolerance
-            seen, element = _place(play, reading, name)
-            if isinstance(one, dict):
-                differs = partial(_differ, tolerance, 0.0, one[name])
-                return Case([play, *others], [(0, seen)], differs, [element])
-            source = play if any(one is mine for mine in play.expected) else usual
-            expected, of_it = _place(source, one, name)
-            both, places = [source, play, *others], [(0, expected), (1, seen)]
-            return Case(both, places, partial(_differ, tolerance, scale), [of_it, element], compared=2)
-        for reply, finding, expected in play.errors:
-            if finding and reply.status not in (None, *expected):
-                return Case([play, *others], [(0, _index(play, reply))], partial(_returns, reply))
-    return None
+def case_of_reply(reply: Reply, plays: Sequence[Script]) -> Case:
+    """Returns the case of a call with a wrong status, in one of the runs that were played side by side."""
+    beside = [play for play in plays if play is not reply.script]
+    return Case([reply.script, *beside], [(0, _index(reply.script, reply))], partial(_returns, reply))
+
+
+def case_of_difference(
+    found: Difference, tolerance: float, usual: Script, play: Script, plays: Sequence[Script]
+) -> Case:
+    """Returns the case of a value that differs from the usual run, or from another one of the same run."""
+    scripts = [play, *(other for other in plays if other is not play)]
+    seen, element = _place(play, found.got, found.name)
+    if isinstance(found.expected, dict):
+        differs = partial(_differ, tolerance, found.scale, found.expected[found.name])
+        return Case(scripts, [(0, seen)], differs, [element])
+    source = play if any(found.expected is mine for mine in play.expected) else usual
+    expected, of_it = _place(source, found.expected, found.name)
+    differs = partial(_differ, tolerance, found.scale)
+    return Case([source, *scripts], [(0, expected), (1, seen)], differs, [of_it, element], compared=2)
 
 
 def case_of_subject(shared: Shared, subject: Any, message: str) -> Case | None:
@@ -80,8 +73,7 @@ def _speaks(known: Reply, subject: Any, replies: Sequence[Reply]) -> bool:
     if subject is None or subject is known:
         is_silent = not reply.messages and not known.messages
         return _returns(known, replies) and (is_silent or bool(reply.messages and known.messages))
-    changed = {setting for setting, *_ in reply.changed}
-    return subject.setting in changed or (subject.setting == PRINTED and reply.printed > 0)
+    return subject.setting in {setting for setting, *_ in reply.changed}
 
 
 def _differ(tolerance: float, scale: float, *seen: Any) -> bool:
@@ -106,17 +98,3 @@ def _place(script: Script, reading: Reading, name: str) -> Place:
             if variable.name == name:
                 return _index(script, reading.replies[kind]), element
     raise LookupError(name)
-
-
-def _unlike(
-    row: Row, usual: Script, play: Script, name: str
-) -> Iterator[tuple[Reading, str, Expected, float]]:
-    """Yields the readings that differ in a variable, with its largest expected value."""
-    expected = [*play.expected, *usual.readings]
-    pairs = [*zip(itertools.cycle(expected), play.readings, strict=False)]
-    values = [(one if isinstance(one, dict) else one.values).get(name) for one, _ in pairs]
-    scale = max((abs(x) for x in values if isinstance(x, float)), default=0.0)
-    for (one, reading), value in zip(pairs, values, strict=True):
-        got: dict[str, Any] = reading.values
-        if name in got and not same(value, got[name], row.tolerance or 0.0, scale):
-            yield reading, name, one, scale

@@ -1,6 +1,6 @@
 """Calls of scripts made again, some of them left out, and recorded as calls of FMI."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,15 +11,14 @@ from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.probe import Probe
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import CallError, DefectError, Reply, Script
-from fmus.compliance.texts import STEPS, USUAL_NAME
+from fmus.compliance.script import SETTERS, CallError, DefectError, Reply, Script
+from fmus.compliance.texts import STEPS
 from fmus.fmi.callbacks import CountingAllocator
 
 CREATE, FREE = "fmi2Instantiate", "fmi2FreeInstance"
 
 _DIGITS = 12  # of times that are shifted: sums of sizes are as exact
 
-_SETTERS = "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString"
 
 _TIMED = "do_step", "do_steps", "set_time", "fmi2SetTime"  # the first argument is a time
 
@@ -99,42 +98,11 @@ def shows_again(probe: Probe, case: Case, kept: Kept) -> bool:
 def recorded(probe: Probe, case: Case, kept: Kept) -> ShortTrace:
     """Returns the calls of FMI of what is kept, in their order."""
     scripts = copies_of(case, kept, recorded=True)
-    for script in scripts:
-        ends = [*script.parts[1:], len(script.calls)]
-        for added, end in enumerate(ends):
-            script.calls.insert(end + added, ("recorded_calls",))
-            script.replies.insert(end + added, Reply("", ""))
-        script.parts = [part + i for i, part in enumerate(script.parts)]
     _play(probe, case, scripts)
-    calls, counts = list[Call](), [0] * len(scripts)
-
-    def take(number: int, recorded: Sequence[Sequence[Any]]) -> None:
-        new = recorded[counts[number] :]
-        calls.extend(Call(number, function, arguments, status) for function, arguments, status in new)
-        counts[number] = len(recorded)
-
-    def answers_of(script: Script) -> list[Any]:
-        pairs = zip(script.calls, script.replies, strict=True)
-        return [reply.value or [] for (method, *_), reply in pairs if method == "recorded_calls"]
-
-    def turn(some: Sequence[int]) -> None:
-        calls.extend(created(number, scripts[number]) for number in some)
-        for part in range(max(len(answers[number]) for number in some)):
-            for number in some:
-                if part < len(answers[number]):
-                    take(number, answers[number][part])
-        calls.extend(Call(number, FREE, [], 0) for number in some)
-
-    answers = [answers_of(script) for script in scripts]
-    for number in range(case.compared - 1):
-        turn([number])
-    turn(range(case.compared - 1, len(scripts)))
-    return ShortTrace(calls)
-
-
-def created(number: int, script: Script) -> Call:
-    options = script.options
-    return Call(number, CREATE, [options.get("name", USUAL_NAME), int(bool(options.get("logging")))], 0)
+    rows = [(row, number) for number, script in enumerate(scripts) for row in script.end.value]
+    # each row begins with the time of its call
+    rows.sort(key=lambda pair: pair[0][0])
+    return ShortTrace([Call(number, *call) for (_, *call), number in rows])
 
 
 class _Silent:
@@ -144,8 +112,8 @@ class _Silent:
         return lambda *_: int(name == CREATE)
 
 
-def rehearsed(number: int, script: Script, fmu: FmuFile) -> Iterator[Call]:
-    """Yields the calls of FMI that a script makes, without the FMU: it ends the process that calls it."""
+def rehearsed(number: int, script: Script, fmu: FmuFile) -> list[Call]:
+    """Returns the calls of FMI that a script makes, without the FMU: it ends the process that calls it."""
     kind = CalledModelExchange if fmu.is_model_exchange else CalledInstance
     options = {**script.options, "recorded": True}
     library: Any = _Silent()
@@ -155,7 +123,8 @@ def rehearsed(number: int, script: Script, fmu: FmuFile) -> Iterator[Call]:
         is_function = method.startswith("fmi2")
         call = partial(instance.call_with_lists, method) if is_function else getattr(instance, method)
         call(*arguments)
-    yield from (Call(number, *call) for call in instance.recorded_calls())
+    *recorded, _ = instance.free()
+    return [Call(number, *call) for _, *call in recorded]
 
 
 def copies_of(case: Case, kept: Kept, **options: Any) -> list[Script]:
@@ -203,7 +172,7 @@ def is_legal(script: Script, calls: Sequence[tuple[Any, ...]]) -> bool:
     is_stepping = is_set = False
     for method, *_ in calls if not script.probe.fmu.is_model_exchange else ():
         is_stepping = method == "exit_initialization_mode" or (is_stepping and method != "fmi2Reset")
-        is_set = (is_set or method in _SETTERS) and is_stepping and method not in STEPS
+        is_set = (is_set or method in SETTERS) and is_stepping and method not in STEPS
         if is_set and method in ("get", "output_derivatives"):
             return False
     return True
@@ -236,7 +205,7 @@ def _context(script: Script, end: int) -> dict[Any, Any]:
                 context["time"] = round(t, 9)
             case ("fmi2SetContinuousStates", [states, *_]):
                 context["states"] = states
-            case (_, [references, _, some]) if method in _SETTERS:
+            case (_, [references, _, some]) if method in SETTERS:
                 context |= {(method, r): x for r, x in zip(references, some, strict=True)}
             case ("fmi2Reset", _):
                 context = {}

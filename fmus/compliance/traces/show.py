@@ -9,7 +9,7 @@ from fmus.compliance.probe import Probe, Shared
 from fmus.compliance.rule import NotJudgedError, Shown, messages_of
 from fmus.compliance.script import CallError, DefectError, Script
 from fmus.compliance.texts import defect
-from fmus.compliance.traces.cases import case_of, case_of_subject
+from fmus.compliance.traces.cases import case_of_subject
 from fmus.compliance.traces.programs import shown
 from fmus.compliance.traces.replay import FREE, ShortTrace
 from fmus.compliance.traces.shrink import shrunk, shrunk_crash
@@ -39,11 +39,9 @@ def _trace(fmu: FmuFile, message: str, shared: Sequence[Shared], new_probe: NewP
         if group := next((some for some in groups if _ends(some, new_probe)), None):
             return shrunk_crash(fmu, group, lambda scripts: _ends(scripts, new_probe), FREE in message)
     for one in shared:
-        if known := _known(one.cases, message):
-            row, usual, plays = known
+        if case := _known(one.cases, message):
             with new_probe() as probe:
-                case = case_of(probe, row, usual, plays, message)
-                return shrunk(probe, case) if case else None
+                return shrunk(probe, case)
     for one in shared:
         if case := case_of_subject(one, _known(one.subjects, message), message):
             with new_probe() as probe:

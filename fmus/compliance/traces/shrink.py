@@ -10,22 +10,9 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.script import Script
-from fmus.compliance.traces.replay import (
-    END,
-    FREE,
-    Call,
-    Case,
-    Kept,
-    Place,
-    ShortTrace,
-    copies_of,
-    created,
-    is_legal,
-    recorded,
-    rehearsed,
-    shows_again,
-)
+from fmus.compliance.script import STATES, Script
+from fmus.compliance.traces import replay
+from fmus.compliance.traces.replay import Call, Case, Kept, Place, ShortTrace
 
 _MOST_TRIALS, _MOST_PROCESSES = 120, 40  # of one finding; of one crash, each in a new process
 
@@ -36,13 +23,9 @@ _SKELETON = (
     "state_of_bytes",
     "copy_state",
     "free",
-    "fmi2EnterInitializationMode",
     "fmi2ExitInitializationMode",
-    "fmi2EnterEventMode",
-    "fmi2EnterContinuousTimeMode",
-    "fmi2Terminate",
-    "fmi2Reset",
     "fmi2SetupExperiment",
+    *STATES,
 )
 
 _QUESTIONS = (
@@ -61,18 +44,20 @@ _QUESTIONS = (
 
 def shrunk(probe: Probe, case: Case) -> ShortTrace | None:
     """Returns the shortest trace that was found, or None if the finding does not show again."""
-    ends = {number: max(i for n, i in case.places if n == number) for number, i in case.places if i != END}
+    ends = {
+        number: max(i for n, i in case.places if n == number) for number, i in case.places if i != replay.END
+    }
     kept: Kept = [
         range(ends.get(number, len(script.calls) - 1) + 1) for number, script in enumerate(case.scripts)
     ]
-    if not shows_again(probe, case, kept):
+    if not replay.shows_again(probe, case, kept):
         return None
-    kept = _minimal(case, kept, lambda candidate: shows_again(probe, case, candidate), _MOST_TRIALS)
+    kept = _minimal(case, kept, lambda candidate: replay.shows_again(probe, case, candidate), _MOST_TRIALS)
     alone = replace(case, scripts=case.scripts[: case.compared])
-    if shows_again(probe, alone, kept[: case.compared]):
+    if replay.shows_again(probe, alone, kept[: case.compared]):
         case, kept = alone, kept[: case.compared]
     single = _narrowed(case)
-    return recorded(probe, single if shows_again(probe, single, kept) else case, kept)
+    return replay.recorded(probe, single if replay.shows_again(probe, single, kept) else case, kept)
 
 
 def shrunk_crash(
@@ -85,19 +70,19 @@ def shrunk_crash(
     case = Case(group, (), lambda _: True)
 
     def shows(candidate: Kept) -> bool:
-        copies = copies_of(case, candidate)
-        return all(is_legal(script, script.calls) for script in copies) and ends(copies)
+        copies = replay.copies_of(case, candidate)
+        return all(replay.is_legal(script, script.calls) for script in copies) and ends(copies)
 
     kept: Kept = [range(len(script.calls)) for script in group]
     # a call that ends the process has none after it
     count = bisect_left(kept[-1], 1, key=lambda count: shows([*kept[:-1], range(count)]))
     kept = _minimal(case, [*kept[:-1], range(count)], shows, _MOST_PROCESSES)
-    copies = copies_of(case, kept)
+    copies = replay.copies_of(case, kept)
     scripts = [script for script in copies if script.calls] or copies[:1]
     calls = list[Call]()
     for number, script in enumerate(scripts):
-        calls += [created(number, script), *rehearsed(number, script, fmu)]
-        calls += [Call(number, FREE, [], 0)] * is_free
+        calls += replay.rehearsed(number, script, fmu)
+        calls += [Call(number, replay.FREE, [], 0)] * is_free
     return ShortTrace(calls)
 
 

@@ -161,7 +161,7 @@ def test_a_library_that_lacks_a_function_is_judged_unless_importers_call_it(
     is_claimed: bool, tmp_path: Path
 ) -> None:
     """2.1.1 demands every function; an importer binds those of the capabilities that are claimed."""
-    content = members(write_slave(tmp_path, "a trailing line break"))
+    content = members(write_slave(tmp_path, "any GUID"))
     path, name = library_name("Behaviour", host_platform()), b"\0fmi2GetDirectionalDerivative\0"
     assert name in content[path]
     content[path] = content[path].replace(name, name.replace(b"ve\0", b"es\0"))
@@ -169,7 +169,7 @@ def test_a_library_that_lacks_a_function_is_judged_unless_importers_call_it(
     content[XML] = content[XML] if is_claimed else content[XML].replace(claim, b"")
     broken = broken_rules(write(content, tmp_path / "lacks.fmu"), is_static=False)
     assert "library-exports" in broken
-    assert ("messages-have-no-trailing-line-break" in broken) is not is_claimed
+    assert ("wrong-guid-is-refused" in broken) is not is_claimed
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
@@ -327,6 +327,12 @@ def test_a_call_that_fails_is_told_once_and_leaves_what_does_not_make_it_judged(
     reasons = {r.not_judged for r in results if r.not_judged}
     assert all(reason.endswith("fails, as allowed-calls-succeed reports") for reason in reasons), reasons
     assert sum(bool(r.not_judged) for r in results) <= 10
+
+
+def test_an_fmu_whose_outputs_follow_the_clock_is_not_judged(tmp_path: Path) -> None:
+    results = [r for r in examine(write_slave(tmp_path, "steps follow the clock")) if r.not_judged]
+    assert {r.not_judged for r in results} == {"the outputs are random"}
+    assert "runs-are-repeatable" in {r.rule.name for r in results}
 
 
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from tests.mutants.slaves import write_slave
 
 RULES = {rule.name: rule for rule in all_rules()}
 TODAY = date(2026, 11, 23)
-FIRST, SECOND = "archive-layout", "includes-have-quotes"
+FIRST, SECOND = "archive-layout", "included-files-exist"
 
 
 def finding(

@@ -163,9 +163,9 @@ def test_a_format_goes_to_a_file_and_text_is_printed(
 
 
 def test_explain_tells_claim_clause_and_sentences(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--explain", "step-beyond-the-stop-time-is-an-error"]) == 0
+    assert main(["--explain", "state-restores-after-the-end"]) == 0
     shown = capsys.readouterr().out
-    (rule,) = [r for r in all_rules() if r.name == "step-beyond-the-stop-time-is-an-error"]
+    (rule,) = [r for r in all_rules() if r.name == "state-restores-after-the-end"]
     assert rule.claim in shown
     assert "2.1.6: If stopTimeDefined, computing past stopTime returns error." in shown
 

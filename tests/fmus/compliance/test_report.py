@@ -20,7 +20,6 @@ from fmus.compliance.examine import examine
 from fmus.compliance.probe import refusal
 from fmus.compliance.rule import OUTCOMES, Result, all_rules, of_version, repeated
 from fmus.compliance.script import Message
-from fmus.compliance.sentences import rule_table
 from tests.described_fmus import members
 from tests.mutants.base import BASE, XML, changed, written
 from tests.mutants.mutant import broken_rules
@@ -67,7 +66,7 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     """The document names every rule of one FMU, and one of them has the outcome with its messages."""
     (fmu,) = document["fmus"]
     assert fmu["fmu"] == str(path)
-    judged = [rule for rule in of_version(all_rules(), 2) if rule.name not in rule_table()["off"]]
+    judged = of_version(all_rules(), 2)
     assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in judged]
     # of a rule of both interfaces the result names the clause of the one that the FMU has
     assert all(found["clause"] in rule.clause for found, rule in zip(fmu["rules"], judged, strict=True))
@@ -239,17 +238,11 @@ def test_what_a_console_cannot_show_is_escaped(wrong: Path, tmp_path: Path) -> N
     assert r"gr\xf6\xdfe \u6df1.fmu" in done.stdout
 
 
-def test_what_was_not_judged_and_what_was_left_out_is_one_line_each(
-    unjudged: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_not_judged_is_one_line(unjudged: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main([str(unjudged)])
     lines = capsys.readouterr().out.splitlines()
     (reasons,) = [line for line in lines if " not judged: " in line]
     assert re.fullmatch(r"  (\d+) not judged: library-exports is broken \(\1\)", reasons)
-    assert lines[-1].startswith("not checked, because most FMUs break them without harm (see --only): ")
-    assert [name for name in rule_table()["off"] if name not in lines[-1]] == []
-    main([str(unjudged), "--only", lines[-1].rpartition(": ")[2]])
-    assert "left out" not in capsys.readouterr().out
 
 
 def test_errors_come_first_and_a_waiver_without_effect_is_told(

@@ -29,7 +29,7 @@ def test_each_rule_has_a_level_with_a_reason_in_one_line_and_no_other_has_one() 
     assert set(levels()) == {rule.name for rule in all_rules()}
     assert [name for name, (level, _) in levels().items() if level not in list(Level)] == []
     assert [name for name, (_, reason) in levels().items() if not 10 < len(reason) <= 90] == []
-    assert {*rule_table()["off"], *rule_table()["pythonfmu"]} <= set(levels())
+    assert {*rule_table()["both"], *rule_table()["pythonfmu"]} <= set(levels())
 
 
 def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:
@@ -40,10 +40,9 @@ def test_advice_is_what_no_sentence_demands_and_the_rest_is_demanded() -> None:
 
 
 def test_what_no_importer_stumbles_over_is_no_error() -> None:
-    """An alias without the unit of another gives no wrong value; headers of FMI come with the importer."""
+    """An alias without the unit of another gives no wrong value."""
     assert levels()["alias-units"][0] == Level.ERROR
     assert levels()["alias-units-are-complete"][0] == Level.DEVIATION
-    assert levels()["headers-of-fmi-are-left-out"][0] == Level.ADVICE
 
 
 def test_a_rule_of_files_names_the_clauses_of_its_sentences() -> None:

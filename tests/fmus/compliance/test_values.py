@@ -20,7 +20,7 @@ def reading(small: float, nominal: str = "1") -> Reading:
 
 
 def found(before: Reading, after: Reading, tolerance: float) -> list[str]:
-    return list(differing([before], [after], "later", tolerance))
+    return [one.text for one in differing([before], [after], "later", tolerance)]
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-9, 1e-6, 1e-4])
@@ -62,5 +62,5 @@ def test_a_nominal_value_counts_up_to_the_largest_value_or_a_hundredth_of_it(
 def test_a_tolerance_is_relative_to_the_largest_value_of_a_variable_in_all_readings() -> None:
     before, after = ([reading(100.0, "1e-9"), reading(x, "1e-9")] for x in (0.0, 1e-11))
     assert list(differing(before, after, "later", 1e-12)) == []
-    (message,) = differing(before, after, "later", 1e-14)
-    assert message == "small is 1e-11 later, step 2: expected 0 again"
+    (one,) = differing(before, after, "later", 1e-14)
+    assert one.text == "small is 1e-11 later, step 2: expected 0 again"

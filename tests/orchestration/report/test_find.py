@@ -257,7 +257,7 @@ def test_each_missing_library_is_one_line_with_the_extra_and_none_of_other_extra
     needed = ("jinja2", "markupsafe", "pyarrow")
     code = f"""
 import sys
-sys.modules.update(dict.fromkeys(("dask", "distributed", "lief", "lxml", "pandas", "xarray")))
+sys.modules.update(dict.fromkeys(("dask", "distributed", "elftools", "lxml", "pandas", "xarray")))
 for library in {needed!r} + ("none",):
     loaded = {{name: sys.modules.pop(name) for name in list(sys.modules) if name.split(".")[0] == library}}
     sys.modules[library] = None
