@@ -51,7 +51,11 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     options = ("--set", "controller.augmentation=pi", "--protocol", protocol_file)
     text = command("score", "L1DepthController", *options).stdout
     assert re.match(r"Protocol of a test, seed \d+\. The vehicle is simulated;", text)
-    assert text.replace("\\", "/").splitlines()[-3:] == ["Every case and metric:", "results/score.json", "results/score.html"]
+    assert text.replace("\\", "/").splitlines()[-3:] == [
+        "Every case and metric:",
+        "results/score.json",
+        "results/score.html",
+    ]
     document = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))
     assert document["protocol"]["version"] == "of a test"
     (row,) = document["rows"]
