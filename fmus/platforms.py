@@ -22,10 +22,11 @@ TARGETS = {
     "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
 }
 PLATFORMS = tuple(TARGETS)
-# name -> zig's target and processor with floating-point unit. No C library is linked: the target has headers.
+# name -> zig's target and processor with floating-point unit, and QEMU's board. No C library is linked: the
+# target has headers.
 MICROCONTROLLERS = {
-    "cortex-m4": ("thumb-linux-musleabihf", "cortex_m4+vfp4d16sp"),
-    "cortex-m7": ("thumb-linux-musleabihf", "cortex_m7+fp_armv8d16"),
+    "cortex-m4": ("thumb-linux-musleabihf", "cortex_m4+vfp4d16sp", "mps2-an386"),
+    "cortex-m7": ("thumb-linux-musleabihf", "cortex_m7+fp_armv8d16", "mps2-an500"),
 }
 # FMI 3.0.2, 2.5.1.4: names of the same platforms
 _PLATFORM_TUPLES = {"linux64": "x86_64-linux", "win64": "x86_64-windows", "darwin64": "x86_64-darwin"}

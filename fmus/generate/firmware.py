@@ -5,7 +5,9 @@ has no heap, no global state, no header of FMI, and one loop, over the internal 
 """
 
 import re
+import shutil
 import struct
+import subprocess
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -35,6 +37,11 @@ _RESERVED = (
     "auto bool case catch char const default delete do double enum explicit extern float friend goto inline "
     "int long mutable namespace new operator private protected public register restrict short signed sizeof "
     "static struct switch template this throw typedef typename union unsigned using virtual void volatile"
+)
+# of the program for QEMU, and of QEMU: the board has a timer
+_GCC = "-mfpu=auto --specs=rdimon.specs -Wl,--section-start=.vectors=0,-z,noexecstack"
+_QEMU = (
+    "-icount shift=10 -display none -monitor none -serial none -semihosting-config enable=on,target=native"
 )
 _SIZE = "-Os", "-fshort-enums", "-fno-pic", "-fstack-size-section"
 
@@ -85,7 +92,7 @@ def write_firmware(traced: Traced, folder: Path, microcontroller: str) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8", newline="\n")
-    target, processor = MICROCONTROLLERS[microcontroller]
+    target, processor, board = MICROCONTROLLERS[microcontroller]
     options = ["-target", target, f"-mcpu={processor}", *toolchain.FLAGS, *_SIZE]
     library = folder / f"lib{name}.a"
     toolchain.zig(["cc", *options, "-c", f"{name}.c", "-o", f"{name}.o"], folder)
@@ -95,11 +102,33 @@ def write_firmware(traced: Traced, folder: Path, microcontroller: str) -> list[P
     code, stack = _sizes(compiled.read_bytes())
     compiled.unlink()
     table = folder / "README.md"
-    rows = ("Code and constants, without math.h's", code), ("Stack, without math.h's", stack)
-    lines = [f"# {name} on a {microcontroller}", "", "| | bytes |", "|---|---:|"]
+    rows = [
+        ("Bytes of code and constants, without math.h's", code),
+        ("Bytes of stack, without math.h's", stack),
+    ]
+    titles = "Instructions of the first step and its outputs", "Instructions of a later one, at most"
+    # no rows without GCC and QEMU
+    rows += zip(titles, _instructions(folder, name, microcontroller, board), strict=False)
+    lines = [f"# {name} on a {microcontroller}", "", "| | |", "|---|---:|"]
     lines += [f"| {text} | {number:,} |" for text, number in rows]
     table.write_text("\n".join([*lines, ""]), encoding="utf-8", newline="\n")
     return [*(folder / file for file in texts), library, table]
+
+
+def _instructions(folder: Path, name: str, microcontroller: str, board: str) -> list[int]:
+    """Returns the instructions of the first step of example.c and of later ones; [] without GCC and QEMU."""
+    if not all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm"))):
+        return []
+    linked = f"-mcpu={microcontroller} -mfloat-abi=hard {_GCC} -L. -l{name} -lm -o loop"
+    emulated = f"qemu-system-arm -M {board} {_QEMU} -kernel loop"
+    shown = ""
+    # where the first one fails, as without newlib, the second one shows nothing
+    for command in (f"arm-none-eabi-gcc emulator.c example.c {linked}", emulated):
+        shown = subprocess.run(
+            command.split(), cwd=folder, capture_output=True, text=True, check=False
+        ).stdout
+    (folder / "loop").unlink(missing_ok=True)
+    return [int(number) for number in re.findall(r"(\d+) in", shown)]
 
 
 def firmware_sources(traced: Traced) -> dict[str, str]:

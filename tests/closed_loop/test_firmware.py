@@ -1,5 +1,7 @@
 """Controller and vehicle on a microcontroller give the numbers of their FMUs, bit for bit."""
 
+import re
+import shutil
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +17,7 @@ from fmus.generate.firmware import firmware_sources, write_firmware
 from orchestration.scenarios import scenario
 from orchestration.system.signals import values_at
 
+HOW_TO = Path(__file__).parents[2] / "docs/how-to/microcontroller.md"
 H, STEPS = 0.02, 15_500
 BLOCKS = {"controller": "L1DepthController", "plant": "RovDepthPlant"}
 # outputs of one are inputs of the other
@@ -200,3 +203,37 @@ def test_the_header_has_the_variables_of_the_model_description(name: str) -> Non
         assert (
             f"    double {member(v.name).replace(',', '_')}; /* {v.description}: {v.expected} */\n" in header
         )
+
+
+@pytest.mark.cross
+def test_the_how_to_leads_to_a_light_that_blinks_and_the_table_has_the_instructions(tmp_path: Path) -> None:
+    (shown,) = re.findall(r"^```sh\n(.*?)^```", HOW_TO.read_text(), re.MULTILINE | re.DOTALL)
+    *lights, last = run(["bash", "-ec", shown], tmp_path).partition("\non\n")[2].splitlines()
+    # the square wave of the reference has four periods, in which the voltage changes its sign
+    assert lights == ["off", "on"] * 3 + ["off"]
+    counted = re.findall(r"\d+", last)
+    table = (tmp_path / "fmus-built/cortex-m7/L1DepthController/README.md").read_text()
+    assert re.findall(r"([\d,]+) \|$", table.replace(",", ""), re.MULTILINE)[2:] == counted
+    # numbers are computed in hardware: some thousand operations, not ten thousands
+    assert 500 < int(counted[1]) < int(counted[0]) < 10_000
+
+
+@pytest.mark.cross
+def test_a_cortex_m4_takes_ten_times_the_instructions_for_its_doubles(tmp_path: Path) -> None:
+    """Each of some 1,000 operations is a call of 10 to 40 instructions."""
+    instructions: list[int] = []
+    with builder.loaded("L1DepthController") as (traced,):
+        for microcontroller in ("cortex-m7", "cortex-m4"):
+            write_firmware(traced, tmp_path / microcontroller, microcontroller)
+            table = (tmp_path / microcontroller / "README.md").read_text().replace(",", "")
+            instructions.append(int(re.findall(r"(\d+) \|$", table, re.MULTILINE)[3]))
+    assert 10 < instructions[1] / instructions[0] < 40
+
+
+def test_without_gcc_and_qemu_the_table_has_no_instructions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with builder.loaded("ThrustAllocation") as (traced,):
+        write_firmware(traced, tmp_path, "cortex-m7")
+    assert "Instructions" not in (tmp_path / "README.md").read_text()
