@@ -23,6 +23,7 @@ else:
 
 CAN_WATCH = sys.platform == "linux"
 """Whether a process can wait for signals and for the end of a child at once."""
+CAN_REMOVE_OPEN_FILES = sys.platform != "win32"
 # not distrusted: this user can replace the program itself
 _ROOT = 0
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH

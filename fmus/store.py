@@ -154,6 +154,9 @@ def locked(path: Path) -> Iterator[None]:
     finally:
         _remove(path)
         os.close(descriptor)
+        if not operating_system.CAN_REMOVE_OPEN_FILES:
+            # there nobody removes a lock that another process holds
+            _remove(path)
 
 
 def _remove(path: Path) -> None:
