@@ -35,10 +35,10 @@ MUTANTS = {
     "bytes that end too early": (2, "snapshot.h", "size != SERIALIZED_SIZE", "0", "DeSerializeFMUstate"),
     "no memory for the end of a name": (2, "lifecycle.h", "strlen(name) + 1", "strlen(name)", "Instantiate"),
     "an array that counts as one number": (
-        3, "fmi3.c", "expected += FIRST[vr[i] + 1] - first", "expected += 1", "SetFloat64",
+        3, "fmi3.c", "expected += FIRST[vr[i] + 1] - first", "expected += 1", "GetFloat64",
     ),
     "a reference behind the last array": (
-        3, "fmi3.c", "reference <= N_REFERENCES", "reference <= N_REFERENCES + 1", "GetFloat64",
+        3, "fmi3.c", " && reference <= N_REFERENCES", "", "GetFloat64",
     ),
     "a long message": (2, "log.h", "escaped[2 * MESSAGE_SIZE]", "escaped[2 * MESSAGE_SIZE - 2]", "Terminate"),
 }  # fmt: skip
