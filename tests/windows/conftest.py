@@ -5,7 +5,8 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,20 @@ def python(empty: WinePython, clone: Path) -> WinePython:
         done = empty.run("python.exe", *install, *options, f"C:\\{requirement}", cwd=empty.drive)
         assert done.returncode == 0, done.stdout
     return empty
+
+
+@pytest.fixture(scope="session")
+def default_tests(python: WinePython, clone: Path) -> Iterator[Future[subprocess.CompletedProcess[str]]]:
+    """The default tests, which run beside the commands: those take one processor."""
+    with ThreadPoolExecutor() as pool:
+        yield pool.submit(python.run, "python.exe", "-m", "pytest", "-q", "-n", "2", cwd=clone)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def start_default_tests(request: pytest.FixtureRequest) -> None:
+    """Starts them first where they are to run."""
+    if any("default_tests" in getattr(item, "fixturenames", ()) for item in request.session.items):
+        request.getfixturevalue("default_tests")
 
 
 @pytest.fixture(scope="session")
