@@ -17,8 +17,9 @@ import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import lief
+import pefile
 import ziglang
 
 # The default tests run for a quarter of an hour there.
@@ -80,9 +81,9 @@ def _make(home: Path, requirements: list[str]) -> None:
                     at_start = base.lower().startswith(("python3", "vcruntime"))
                     (home / ("" if at_start else "DLLs") / base).write_bytes(wheel.read(name))
     _compile(home / "python.exe", HERE / "python.c", [], "-municode")
-    library = lief.PE.parse(str(home / "python311.dll"))
-    assert library
-    stable = [f"{f.name} = python311.{f.name}" for f in library.exported_functions if f.name]
+    library: Any = pefile.PE(str(home / "python311.dll"))
+    exported = (s.name.decode() for s in library.DIRECTORY_ENTRY_EXPORT.symbols if s.name)
+    stable = [f"{name} = python311.{name}" for name in exported]
     empty = home / "empty.c"
     empty.write_text("")
     _compile(home / "python3.dll", empty, stable)
@@ -120,10 +121,10 @@ def _complete_mathematics(home: Path, packages: Path) -> None:
     imported: set[str] = set()
     for path in packages.rglob("*"):
         if path.suffix.lower() in (".pyd", ".dll") and C_MATH in (content := path.read_bytes()):
-            binary = lief.PE.parse(str(path))
-            assert binary
-            of_math = (i for i in binary.imports if str(i.name).lower() == C_MATH.decode())
-            imported |= {str(entry.name) for i in of_math for entry in i.entries}
+            binary: Any = pefile.PE(data=content, fast_load=True)
+            binary.parse_data_directories([pefile.DIRECTORY_ENTRY["IMAGE_DIRECTORY_ENTRY_IMPORT"]])
+            of_math = (x for x in binary.DIRECTORY_ENTRY_IMPORT if x.dll.lower() == C_MATH)
+            imported |= {entry.name.decode() for x in of_math for entry in x.imports}
             path.write_bytes(content.replace(C_MATH, OUR_MATH))
     ours = dict(_complex_functions())
     source = home / "complex.c"
