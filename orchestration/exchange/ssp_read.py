@@ -5,6 +5,7 @@ of the FMUs. Geometry and annotations are ignored, but for the step size; a name
 refused, which SSP permits.
 """
 
+import os
 import tempfile
 import zipfile
 import zlib
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from fmus.errors import nearest
+from fmus.errors import FmuLoadError, nearest
 from fmus.files import extract_archive
 from fmus.fmi.description import describe
 from fmus.fmi.model_description import ModelDescription
@@ -46,7 +47,11 @@ def opened(path: Path, parameter_set: str = "") -> Iterator[Scenario]:
             extract_archive(path, Path(folder))
         except (zipfile.BadZipFile, EOFError, zlib.error, RuntimeError, ValueError) as error:
             raise ScenarioError(f"{path}: expected an SSP package, a zip: {error}") from error
-        yield _scenario(OpenedPackage(path, Path(folder)), parameter_set)
+        try:
+            yield _scenario(OpenedPackage(path, Path(folder)), parameter_set)
+        except FmuLoadError as error:
+            # nobody who reads the message finds the folder
+            raise FmuLoadError(str(error).replace(f"{folder}{os.sep}", f"{path}: ")) from error
 
 
 def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:

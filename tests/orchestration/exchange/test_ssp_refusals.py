@@ -1,5 +1,6 @@
 """SSP packages that others changed: what is refused, and what stands in for what is missing."""
 
+import io
 import re
 import zipfile
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import pytest
 from fmus.files import write_archive
 from fmus.fmi.description import describe
 from orchestration.cli.package_fmus import build_ramp_source
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import FmuLoadError, ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.run import simulate
@@ -58,6 +59,19 @@ def test_a_package_with_an_fmu_of_fmi_3_runs(package: Path, fmi3_built: Fmus, tm
             recordings.append(simulate(loop.system, experiment))
             assert describe(loop.system.components["plant"]).fmiVersion == ("2.0", "3.0")[path == changed]
     assert np.array_equal(recordings[0].values, recordings[1].values)
+
+
+def test_an_fmu_that_cannot_be_loaded_is_named_by_its_place_in_the_package(
+    package: Path, tmp_path: Path
+) -> None:
+    name = "resources/RovDepthPlant.fmu"
+    with zipfile.ZipFile(io.BytesIO(members(package)[name])) as fmu:
+        kept = {member: fmu.read(member) for member in fmu.namelist() if not member.startswith("binaries/")}
+    plant = write_archive(tmp_path / "plant.fmu", kept).read_bytes()
+    path = write_archive(tmp_path / "changed.ssp", members(package) | {name: plant})
+    message = rf"^{re.escape(str(path))}: resources.RovDepthPlant\.fmu has no binary for "
+    with pytest.raises(FmuLoadError, match=message), ssp_read.opened(path) as loop:
+        simulate(loop.system, loop.experiment)
 
 
 @pytest.mark.parametrize(
