@@ -72,6 +72,7 @@ def test_the_experiments_of_the_paper_are_those_of_linux(
     [
         ("inspect fmus-built/RovDepthPlant.fmu", "", "external_force"),
         ("check fmus-built/RovDepthPlant.fmu", "", "RovDepthPlant.fmu: 2"),
+        ("run nominal-extended --out results", "results/nominal-extended.png", "total_variation"),
         ("score pid.py --out results", "results/score.html", "PID, rates known"),
         ("sweep monte-carlo --out results", "results/monte-carlo.sweep.parquet", "1000 samples, 0 failed"),
         ("report results", "report.html", "report.html"),
