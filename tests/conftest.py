@@ -125,9 +125,10 @@ def pytest_collection() -> Iterator[object]:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Marks tests that need more than pip installs by their fixture, others by the FMUs that they build.
 
-    The order is fixed, because pytest-xdist expects the same order in all processes.
+    The order is fixed, because pytest-xdist expects the same order in all processes. The files of the upper
+    folders come first: one of their tests can take a minute, for which all processes but one would wait.
     """
-    items.sort(key=lambda item: item.path.parts)
+    items.sort(key=lambda item: (len(item.path.parts), item.path.parts))
     for item in items:
         fixtures: list[str] = getattr(item, "fixturenames", [])
         callspec = getattr(item, "callspec", None)
