@@ -48,7 +48,7 @@ def examine(
     OSError
         If the file does not exist.
     MissingExtraError
-        Without a library that reads libraries.
+        Without pyelftools, pefile or macholib, if the FMU has a library of that format.
     """
     with path.open("rb"):
         fmu = FmuFile(path)

@@ -123,7 +123,7 @@ def test_what_cannot_be_imported_stops_no_other(command: Command) -> None:
     assert done.stdout.replace("\\", "/") == "out/Good.fmu\nout/DepthReference.fmu\n"
     (line,) = done.stderr.splitlines()
     assert line.startswith("l1-depth: 1 of 3 not built: bad.py: ")
-    assert "bad.py:2: ModuleNotFoundError: No module named 'nunpy'" in line
+    assert "/bad.py:2: ModuleNotFoundError: No module named 'nunpy'" in line.replace("\\", "/")
     alone = command("build", "bad.py", *options, expect=1)
     assert alone.stderr == line.replace("1 of 3 not built: bad.py: ", "") + "\n"
 

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from orchestration.studies.score.score import ScoreResult
 from orchestration.studies.score.score_document import Score
 from orchestration.studies.score.score_rendering import terminal_text
 
+# of a path below a file
+NO_FOLDER = "No such file or directory" if sys.platform == "win32" else "Not a directory"
 COMPARISON = Path(__file__).parents[4] / "docs" / "explanation" / "comparison.json"
 
 
@@ -92,7 +95,7 @@ def test_a_score_that_its_schema_refuses_is_not_written(
         (["L1DepthControler"], "no block 'L1DepthControler'"),
         (["L1DepthController", "--set", "plant.inertia=9"], "--set plant.inertia: expected controller.NAME"),
         (["L1DepthController", "--set", "controller.gain=9"], "controller.gain"),
-        (["L1DepthController", "--out", f"{__file__}/results"], "directory: expected a folder"),
+        (["L1DepthController", "--out", f"{__file__}/results"], f"{NO_FOLDER}: expected a folder"),
         (["a.fmu", "b.fmu", "--set", "controller.gain=9"], "--parameters with 2 controllers: expected one"),
     ],
 )
@@ -118,7 +121,7 @@ def test_what_cannot_be_written_is_refused_before_it_runs(
 ) -> None:
     """The runs of most take minutes."""
     complaint = refused(*arguments.split(), "--out", f"{__file__}/results/file")
-    assert "directory: expected a folder that can be written" in complaint
+    assert f"{NO_FOLDER}: expected a folder that can be written" in complaint
 
 
 def test_compare_prints_at_most_40_lines_and_writes_the_scores(
