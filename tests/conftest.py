@@ -40,13 +40,10 @@ settings.load_profile("quick")
 _HOME = pytest.StashKey[str]()
 
 _LEFT_OUT: list[str] = []
-_LEFT_OUT_WITH: set[str] = set()  # fixtures
 if sys.platform == "win32":
     listed = tomllib.loads((Path(__file__).parent / "windows" / "runs.toml").read_text(encoding="utf-8"))
     systems = {"Windows", "Wine"} if "WINEPREFIX" in os.environ else {"Windows"}
-    entries = [entry for entry in listed["left_out"] if entry["in"] in systems]
-    _LEFT_OUT += [name for entry in entries for name in entry.get("tests", ())]
-    _LEFT_OUT_WITH |= {name for entry in entries for name in entry.get("fixtures", ())}
+    _LEFT_OUT += [name for entry in listed["left_out"] if entry["in"] in systems for name in entry["tests"]]
 # not even imported
 collect_ignore = [name.removeprefix("tests/") for name in _LEFT_OUT if "::" not in name]
 
@@ -131,7 +128,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     The order is fixed, because pytest-xdist expects the same order in all processes. The files of the upper
     folders come first: one of their tests can take a minute, for which all processes but one would wait.
     """
-    items[:] = [item for item in items if _LEFT_OUT_WITH.isdisjoint(getattr(item, "fixturenames", ()))]
     items.sort(key=lambda item: (len(item.path.parts), item.path.parts))
     for item in items:
         fixtures: list[str] = getattr(item, "fixturenames", [])

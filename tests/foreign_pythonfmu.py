@@ -6,15 +6,16 @@ from typing import Any
 
 from pythonfmu.builder import FmuBuilder
 
+from fmus.generate.python import REMEDIES
+
 _HEAD = """
     import ctypes
+    import sys
+    from pathlib import Path
 
     from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real, String
 
     from pythonfmu.enums import Fmi2Status
-
-    # PythonFMU 0.7 frees this dictionary at the second instance (docs/fidelity.md)
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
     INPUT, OUTPUT = Fmi2Causality.input, Fmi2Causality.output
 """
@@ -99,5 +100,5 @@ SAVES_STATE = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
 def build(name: str, folder: Path, **capabilities: Any) -> Path:
     """Builds `folder/NAME.fmu` from one of the classes above; capabilities: such as `SAVES_STATE`."""
     script = folder / f"{name.lower()}_slave.py"
-    script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(_SOURCES[name]))
+    script.write_text(textwrap.dedent(_HEAD) + REMEDIES + textwrap.dedent(_SOURCES[name]))
     return FmuBuilder.build_FMU(script, folder, **capabilities)

@@ -176,6 +176,9 @@ class Library:
         return function
 
     def unload(self) -> None:
+        # of PythonFMU, which otherwise waits in Windows, maybe for ever, for a thread to end
+        if hasattr(self._functions, "finalizePythonInterpreter"):
+            self._functions.finalizePythonInterpreter()
         system = ctypes.windll.kernel32 if sys.platform == "win32" else ctypes.CDLL(None)
         free = system.FreeLibrary if sys.platform == "win32" else system.dlclose
         free.argtypes = [ctypes.c_void_p]

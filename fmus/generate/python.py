@@ -26,15 +26,28 @@ _PATIENCE_S = 60
 # The tests show that these need their modules alone: a build saves the time of another process.
 _OURS = {"controller_fmu", "plant_fmu", "fmus"}
 
+# of PythonFMU 0.7, at the place where its binary has run this file and is about to make an instance
+REMEDIES = """
+# PythonFMU drops one reference to this dictionary too many whenever it has run this file
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+# It starts a thread, for whose end it waits when Windows unloads it: for ever if that end has to wait for the
+# unloading. So this waits now, unless PythonFMU has begun Python, which then has no arguments and would end.
+if sys.platform == "win32" and sys.orig_argv:
+    for path in Path(sys.path[0]).parent.glob("binaries/win64/*.dll"):
+        library = ctypes.CDLL(str(path))
+        if hasattr(library, "finalizePythonInterpreter"):
+            library.finalizePythonInterpreter()
+        ctypes.windll.kernel32.FreeLibrary(ctypes.c_void_p(library._handle))
+"""
+
 _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
 
 import ctypes
+import sys
+from pathlib import Path
 
 {imports}
-
-# PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
-ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
-
+{remedies}
 
 class {name}({base}):
     {member}
@@ -65,7 +78,9 @@ def package_of(name: str) -> str:
 def entry_point(name: str, base: str, imports: Iterable[str], member: str) -> dict[str, str]:
     """Returns path -> text of the files that PythonFMU's binary loads: a class with this base and member."""
     entry = package_of(name).removesuffix("_sources")
-    text = _ENTRY.format(name=name, base=base, imports="\n".join(imports), member=member, guid=GUID)
+    text = _ENTRY.format(
+        name=name, base=base, imports="\n".join(imports), remedies=REMEDIES, member=member, guid=GUID
+    )
     return {f"{entry}.py": text, "slavemodule.txt": entry}
 
 

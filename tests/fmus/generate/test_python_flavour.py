@@ -146,7 +146,10 @@ def test_loading_leaves_the_import_path_as_it_was(python_built: Fmus, load: Any)
 
 
 def test_many_instances_one_after_another(python_built: Fmus, load: Any) -> None:
-    """PythonFMU alone crashes at the second: it drops a reference that it does not own."""
+    """PythonFMU alone crashes at the second: it drops a reference that it does not own.
+
+    In Windows one of some hundred hangs or crashes, as its binary waits for a thread when it is unloaded.
+    """
     for _ in range(20):
         fmu = load(python_built["ExamplePlant"]).begin()
         fmu.slave.doStep(0.0, 0.01)
