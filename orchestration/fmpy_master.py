@@ -31,7 +31,17 @@ _PYTHON_TYPE = {"String": str, "Real": float, "Float64": float, "Float32": float
 
 
 class Variable:
-    """A scalar variable of an instance: a variable of the model description, or one element of its array."""
+    """A scalar variable of an instance: a variable of the model description, or one element of its array.
+
+    Parameters
+    ----------
+    component : Component
+        The instance.
+    declared : fmpy.model_description.ModelVariable
+        The variable of the model description.
+    index : int
+        The element of its array, row by row; 0 of a scalar.
+    """
 
     def __init__(self, component: "Component", declared: Any, index: int) -> None:
         self.component, self._index, self._references = component, index, [declared.valueReference]
@@ -52,7 +62,13 @@ class Variable:
         return value.decode() if isinstance(value, bytes) else value
 
     def set(self, value: Any) -> None:
-        """Sets the value, of an Enumeration also by the name of an item."""
+        """Sets the value, of an Enumeration also by the name of an item.
+
+        Raises
+        ------
+        SystemDefinitionError
+            For a value of another type.
+        """
         values = self._get(self._references, *self._size) if self._is_array else [None]
         if (given := self._items.get(value, value)) != self._convert(given):
             raise SystemDefinitionError(f"{self._name} = {value!r}: expected a value of type {self._type}")
@@ -61,9 +77,23 @@ class Variable:
 
 
 class Component:
-    """An instance of an FMU for co-simulation, of FMI 2.0 or 3.0, which `resources` frees.
+    """An instance of an FMU for co-simulation, of FMI 2.0 or 3.0.
 
-    times: startTime and stopTime of the experiment [s]
+    Parameters
+    ----------
+    name : str
+        Name of the component.
+    path : str or Path
+        The FMU.
+    times : mapping
+        "startTime" and "stopTime" of the experiment [s].
+    resources : ExitStack
+        Frees the instance, then removes its folder.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For an FMU without co-simulation.
     """
 
     def __init__(self, name: str, path: str | Path, times: Mapping[str, float], resources: ExitStack) -> None:
@@ -97,9 +127,23 @@ class Component:
 
 
 class Master:
-    """Components, connections (output, input), and the newest values of what is exchanged or recorded.
+    """Components, connections, and the newest values of what is exchanged or recorded.
 
-    driven: inputs that signals drive; read: further variables to read after each step
+    Parameters
+    ----------
+    components : list of Component
+        In the order of Gauss-Seidel.
+    connections : sequence of pairs
+        (output, input), as "component.variable".
+    driven : list of str
+        Inputs that signals drive.
+    read : sequence of str
+        Further variables to read after each step.
+
+    Raises
+    ------
+    SystemDefinitionError
+        For an input with several sources, or a name that no component has.
     """
 
     def __init__(

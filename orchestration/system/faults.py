@@ -69,7 +69,13 @@ class Effect:
 
 @dataclass(frozen=True)
 class Freeze(Effect):
-    """A freeze: the value at the first communication point of the window holds."""
+    """A freeze: the value at the first communication point of the window holds.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Freeze(), start=1.0).pattern(np.arange(4.0)).source.ravel()
+    array([0, 1, 1, 1])
+    """
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(np.full(inside.shape, inside[0]), np.zeros(inside.shape))
@@ -88,6 +94,11 @@ class Stuck(Effect):
     ------
     SystemDefinitionError
         For a number that is not finite.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Stuck(2.0), start=1.0).pattern(np.arange(4.0)).addition
+    array([0., 2., 2., 2.])
     """
 
     value: float | bool
@@ -113,6 +124,11 @@ class Offset(Effect):
     ------
     SystemDefinitionError
         For a number that is not finite.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Offset(0.1), start=1.0).pattern(np.arange(4.0)).addition
+    array([0. , 0.1, 0.1, 0.1])
     """
 
     for_every_type = False
@@ -138,6 +154,11 @@ class Drift(Effect):
     ------
     SystemDefinitionError
         For a number that is not finite.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Drift(0.1), start=1.0).pattern(np.arange(4.0)).addition
+    array([0. , 0. , 0.1, 0.2])
     """
 
     for_every_type = False
@@ -165,6 +186,11 @@ class Noise(Effect):
     ------
     SystemDefinitionError
         For a value out of its range.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Noise(0.01, seed=1), start=1.0).pattern(np.arange(4.0)).addition[:2]
+    array([ 0.       , -0.0176075])
     """
 
     for_every_type = False
@@ -196,6 +222,11 @@ class DropOut(Effect):
     ------
     SystemDefinitionError
         For a value out of its range.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", DropOut(0.5, seed=1), start=1.0).pattern(np.arange(4.0)).source.ravel()
+    array([0, 0, 2, 2])
     """
 
     probability: float
@@ -225,6 +256,11 @@ class Delay(Effect):
     ------
     SystemDefinitionError
         For a value out of its range.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Delay(2.0), start=1.0).pattern(np.arange(4.0)).source.ravel()
+    array([0, 0, 0, 1])
     """
 
     delay: float
@@ -253,6 +289,11 @@ class InterpolatedDelay(Effect):
     ------
     SystemDefinitionError
         For a value out of its range.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", InterpolatedDelay(0.25), start=1.0).pattern(np.arange(4.0)).weight[3]
+    array([0.25, 0.75])
     """
 
     for_every_type = False
@@ -283,6 +324,11 @@ class Scale(Effect):
     ------
     SystemDefinitionError
         For a number that is not finite.
+
+    Examples
+    --------
+    >>> Fault("controller.depth", Scale(1.1), start=1.0).pattern(np.arange(4.0)).weight.ravel()
+    array([1. , 1.1, 1.1, 1.1])
     """
 
     for_every_type = False
