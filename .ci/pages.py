@@ -34,8 +34,8 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 _GALLERY = """# Gallery
 
-Scripts whose cells are notebooks: the site shows each with what it prints and draws.
-They need the FMUs of the scenarios, which `l1-depth build --cache` makes.
+Scripts that are notebooks: the site shows each with what it prints and draws.
+Most need the FMUs of the scenarios, which `l1-depth build --cache` makes.
 """
 RESULTS = {
     "speed": "performance.json",

@@ -33,7 +33,7 @@ class ActuatorParameters:
 
     internal_step: float = variable(
         0.02,
-        "Longest internal step; one for each communication step is best",
+        "Longest internal step; best not below the communication step",
         unit="s",
         min=1e-6,
         max=10.0,

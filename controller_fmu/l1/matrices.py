@@ -95,7 +95,7 @@ def relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:
 class LawMatrices:
     """Matrices and gains of the law, calculated from the parameters alone."""
 
-    predictor_matrix: Matrix = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics")
+    predictor_matrix: Matrix = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m of the predictor")
     predictor_input: Vector = variable((0.0, 1.0), "B_m, input column")
     lyapunov_matrix: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "P, solution of A_m' P + P A_m = -Q")
     adaptation_vector: Vector = variable((0.0, 1.0), "P B_m, weight of the prediction error")

@@ -7,6 +7,7 @@ from controller_fmu.l1.matrices import FASTEST, Matrix, Vector, can_be_sampled, 
 from fmus.block import variable
 
 EQUATIONS = """\
+x'           = A_m x + B_m (omega (u - u_m) + theta^T phi + sigma)           assumed plant
 u            = u_m + u_a + u_p + u_f,   u_m = -k_m x
 x_hat'       = A_m x_hat + B_m (omega_hat (u_a + u_p + u_f) + theta_hat^T phi + sigma_hat)  (5)
 theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_hat - x     (4)
@@ -50,9 +51,9 @@ LAW_LIMITS = (
     "With input_gain_uncertainty above 0, omega_hat multiplies u_a + u_p + u_f but is estimated from"
     " u_a + u_f, which the proof does not cover. input_gain_regressor adaptive_control_and_extension"
     " estimates it from all three: this restores the Lyapunov argument but does not improve tracking.",
-    "While the actuator saturates, the predictor gets the delivered control. The states of the filter and"
-    " the integral of the PI are held if their change would increase the demand. Noise at the limit slows"
-    " them: keep the limit above the demand and its noise.",
+    "In saturation, the predictor gets the limited control. The states of the filter and the integral of the"
+    " PI are held if their change would increase the demand. Noise near the limit holds them, too: keep the"
+    " limit above the demand and its noise.",
     "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
     " exact for the assumed A_m and given derivatives of the reference; it leaves out the impulse of"
     " acceleration at a corner. The piecewise-constant law estimates e^(A_s Ts) times the disturbance,"
@@ -140,7 +141,7 @@ class LawParameters(PlantParameters):
 
     internal_step: float = variable(
         10.0,
-        "Longest internal step; one for each communication step is best",
+        "Longest internal step; best not below the communication step",
         unit="s",
         min=1e-7,
         max=LONGEST_STEP,

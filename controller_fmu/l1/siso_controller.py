@@ -185,26 +185,25 @@ y            = C x,   u saturated at +-control_limit
     ),
     tuning=(
         "state_matrix (A_m, Hurwitz), input_vector (B_m) and output_vector (C) are the desired dynamics,"
-        " with feedback_gain k_m already in A_m: A_m = A - B_m k_m.",
-        "theta_bound, sigma_bound and input_gain_uncertainty limit the estimates; a bound of 0 holds the"
-        " estimate at its value.",
+        " with feedback_gain k_m: A_m is the matrix of the loop that u_m closes.",
+        "theta_bound, sigma_bound and input_gain_uncertainty limit the estimates; a bound of 0 freezes"
+        " the estimate.",
         "The L1-norm condition requires a filter_bandwidth of at least 44.5 rad/s for the start values with"
         " the first-order filter, 36.4 rad/s with the third-order one.",
-        "adaptation_gain may be large: a step solves the oscillation of prediction error and estimates"
-        " exactly.",
-        "Without augmentation, the lag comes from A_m, not from the filter; augmentation removes it. With"
+        "adaptation_gain may be large: a step integrates prediction error and estimates exactly.",
+        "Without augmentation, the lag comes from A_m, not from the filter; augmentation removes most. With"
         " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta above 0"
         " where the reference crosses zero.",
         "If the derivatives of the reference are known, connect reference_rate and reference_acceleration and"
-        " set reference_feedforward. With inside, the lag of the filter remains; with outside, no lag. It"
-        " needs C B_m = 0.",
+        " set reference_feedforward. With inside, the lag of the filter remains; with outside, no lag."
+        " Both need C B_m = 0.",
         "adaptation_law piecewise_constant has no fast loop and needs no gain or bounds; set"
         " adaptation_period to the communication step, and prediction_error_matrix A_s so slow that"
         " e^(A_s Ts) is near I.",
     ),
     limits=(
         *LAW_LIMITS,
-        "Second order, one input, one output, the whole state measured.",
+        "For second-order plants with one input, one output and measured state.",
         "Start values are the paper's illustrative example, a_1 and a_2 as printed: u_p then jumps by a"
         " factor of 4 at |e| = delta.",
     ),

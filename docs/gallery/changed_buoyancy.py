@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Many runs of loaded FMUs
 #
-# A `Simulator` loads the FMUs once. Here it runs the experiment for eleven changes of buoyancy, with and
-# without the extension.
+# A `Simulator` loads the FMUs once. Here it runs the nominal experiment for eleven changes of buoyancy, with
+# and without the extension.
 #
 # It needs the FMUs that `l1-depth build --cache` builds.
 

@@ -2,7 +2,7 @@
 # # The paper's loop on FMPy alone
 #
 # A master algorithm in forty lines: at each communication point outputs go to inputs, then both FMUs step.
-# It imports nothing of this project, whose `l1-depth build L1DepthController RovDepthPlant` writes the FMUs.
+# It imports nothing of this project; `l1-depth build L1DepthController RovDepthPlant` writes the FMUs.
 
 # %%
 from shutil import rmtree
@@ -33,7 +33,7 @@ controller, to_controller, from_controller = load("L1DepthController", inputs, v
 
 
 def exchange(point: int) -> None:
-    """Sets the inputs of both FMUs from the outputs of the other one, and from the reference."""
+    """Sets each FMU's inputs from the outputs of the other and from the reference."""
     measured, demanded = plant.getReal(from_plant), controller.getReal(from_controller)
     controller.setReal(to_controller, [*measured, reference[point]])
     plant.setReal(to_plant, demanded)

@@ -1,9 +1,9 @@
 # %% [markdown]
-# # A scenario file led by FMPy
+# # A scenario file run by FMPy
 #
-# Python's `tomllib` reads a scenario and its bases, and the master of `orchestration/fmpy_master.py`, a page
-# of calls of FMPy, runs it. It needs the FMUs that `l1-depth build L1DepthController RovDepthPlant` writes.
-# Faults, events, replaced components and other kinds of signals are left to `l1-depth run`.
+# Python's `tomllib` reads a scenario and its bases, and the master of `orchestration/fmpy_master.py` runs it.
+# It needs the FMUs that `l1-depth build L1DepthController RovDepthPlant` writes. Faults, events, replaced
+# components and most kinds of signals are left to `l1-depth run`.
 
 # %%
 import tomllib

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Orders of the master algorithms
 #
-# Two second-order systems exchange one signal each. The error at the end falls with the communication step
-# size: by its first power with held inputs, by its square with inputs that are extrapolated.
+# Two second-order systems exchange one signal each. The error at the end is proportional to the communication
+# step size with held inputs, to its square with extrapolated ones.
 #
 # It needs the FMUs that `l1-depth build --cache` builds.
 

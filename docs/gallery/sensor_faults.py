@@ -1,7 +1,7 @@
 # %% [markdown]
 # # A depth sensor that fails
 #
-# Faults act on what arrives at one input. The depth sensor freezes for 2 s while the vehicle dives, drifts
+# Each fault changes what one input receives. The depth sensor freezes for 2 s while the vehicle dives, drifts
 # for 40 s while it holds its depth, and loses one sample in five throughout.
 #
 # It needs the FMUs that `l1-depth build --cache` builds.

@@ -2,8 +2,7 @@
 # # Where the lag goes
 #
 # The nominal experiment of the paper with plain L1 and with the PI extension. The vehicle follows straight
-# ramps. Without the extension it lags behind them as its reference model does. With it the largest error
-# is less than half as large.
+# ramps. Without the extension it lags behind them. With it the largest error is less than half as large.
 #
 # It needs the FMUs that `l1-depth build --cache` builds.
 

@@ -160,9 +160,9 @@ def _vehicle_panels(curves: Sequence[DrawnRun]) -> str:
     return f"""\
 - (a) Depth, positive down. The grey band is 0.8 m with 5 % on each side.
   A circle marks the settling time of a run, a dotted vertical line the published time.
-  Circles differ in size, so that both show where they coincide.
+  Circles differ in size, so both show if they coincide.
 - (b) Thrust, the sum of the thrusters. Horizontal dotted lines: published holding thrust. Inset: first 20 s.
-- (c) Estimates of the uncertainty: theta above, sigma below.
+- (c) Estimates of the uncertainty: theta_hat in the upper panel, sigma_hat in the lower one.
 - (d) Tracking error: depth minus reference. The paper does not draw it.
 
 In (b) and (c) a line is the mean over {_NOISE_WINDOW_S:g} s, the pale band the range in that time.
@@ -172,7 +172,7 @@ In (b) and (c) a line is the mean over {_NOISE_WINDOW_S:g} s, the pale band the 
 The vehicle starts afloat at the surface. The part above water has no buoyancy. So buoyancy acts as a spring.
 Spring and mass oscillate at about 1 Hz. Observer and thrusters delay the feedback,
 which sustains the oscillation.
-It is a limit cycle, not noise: with the true depth rate it vanishes (scenarios whose names end in -ideal).
+It is a limit cycle, not noise: with the true depth rate it vanishes (scenarios whose names end in -ideal, with the true depth as well).
 It ends when the thrust holds the vehicle under water, where the spring is gone.
 """
 
