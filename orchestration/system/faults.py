@@ -81,7 +81,7 @@ class Stuck(Effect):
 
     Parameters
     ----------
-    value : float or bool
+    value : float, int or bool
         In the unit of the input.
 
     Raises
@@ -90,7 +90,7 @@ class Stuck(Effect):
         For a number that is not finite.
     """
 
-    value: float | bool
+    value: float | int | bool
 
     def __post_init__(self) -> None:
         if not isinstance(self.value, bool):
