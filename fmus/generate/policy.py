@@ -251,6 +251,8 @@ def _digest(value: Any) -> Any:
 
 
 def _hint(error: BaseException | None) -> str:
+    if isinstance(error, ImportError) and "pythonfmu" in str(error):
+        return "; pythonfmu build -f FILE.py makes an FMU of a class of PythonFMU"
     if not isinstance(error, FileNotFoundError):
         return ""
     return "; expected one beside the file, whose name stands in the code: 'weights.npz'"

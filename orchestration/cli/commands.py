@@ -132,7 +132,10 @@ def run_application(made: Callable[[], typer.Typer], arguments: Sequence[str], n
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
         return OUTPUT_CLOSED
     except (OrchestrationError, ExportError, MissingExtraError, OSError) as error:
-        fail(str(error), INTERRUPTED if isinstance(error.__cause__, KeyboardInterrupt) else 1)
+        file = getattr(error, "filename", None)
+        # of an error of the system, the number says nothing to a user
+        text = f"{file}: {error.strerror}" if isinstance(error, OSError) and file else str(error)
+        fail(text, INTERRUPTED if isinstance(error.__cause__, KeyboardInterrupt) else 1)
     except Exception as error:
         if hasattr(error, "format_message"):  # a usage error, of Click or of the copy of it in Typer
             fail(_usage(error), 2)

@@ -589,6 +589,9 @@ class Run:
         """Ends the run: frees the states saved in the FMUs, and makes readers and writers refuse."""
         self.failure = "the run has ended: expected start(experiment) for another"
         self._has_ended = True
+        for instance in self.wired.instances.values():
+            # which a warning of fmi2Terminate says
+            instance.time = self.time
         self._resources.close()
         try:
             self._restore_process()

@@ -99,8 +99,16 @@ class DataFile:
             raise ScenarioError(f"{self.start}: {title} has dates in {unit}: expected a title without a unit")
         return column
 
-    def times(self, index: int = 0) -> np.ndarray:
-        """Returns a column of times [s]; ScenarioError for one earlier than that before, with its line."""
+    def times(self, index: int | None = None) -> np.ndarray:
+        """Returns a column of times [s]; ScenarioError for one earlier than that before, with its line.
+
+        index: by default the first column's; ScenarioError if another one has the title "time"
+        """
+        if index is None:
+            index, titles = 0, [title.lower() for title in self.titles]
+            # pandas writes numbers of rows as a first column
+            if "time" in titles[1:] and titles[0] != "time":
+                raise ScenarioError(f"{self.start}: 'time' is not the first column: expected it there")
         # before the conversion: dates with a unit are refused as dates, not as another dimension
         numbers = self.numbers(index)[:, 0]
         times = self.conversion(index, "s")(numbers)

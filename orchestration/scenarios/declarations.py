@@ -164,7 +164,10 @@ def _columns(path: Path, name: str, names: Mapping[str, float]) -> dict[str, Any
             "commas are separated by ; and a first line of titles lets column choose one"
         )
     times = file.times()
-    index = file.index(name) if name else 1
+    if not (index := file.index(name) if name else 1):
+        raise ScenarioError(
+            f"{file.start}: column = {name!r}: expected another one than the first, the times"
+        )
     values = file.numbers(index, names=names)[:, 0]
     return {
         "times": times.tolist(),

@@ -28,6 +28,7 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
+from fmus.units import si_unit
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators, ForceTable
 from orchestration.scenarios.file_format import FAULT, SIGNAL
@@ -147,17 +148,18 @@ class VehicleValues:
         return description_of(self.file).variables
 
     def value(self, name: str, key: str = "") -> float:
-        """Returns the value [its unit] of a variable; key: of the description, which names it."""
+        """Returns the value [SI unit] of a variable; key: of the description, which names it."""
         if name not in self.variables:
             where = f"{self.file.at(('variables', key))}: variables.{key}"
             raise ScenarioError(f"{where}: no variable {name!r}; {nearest(name, self.variables)}")
-        given = self.given.get(name, start_value(self.variables[name]))
+        variable = self.variables[name]
+        given = self.given.get(name, start_value(variable))
         try:
-            return float(
-                fmi_value(Port(PLANT, self.variables[name]), given) if isinstance(given, str) else given
-            )
+            number = float(fmi_value(Port(PLANT, variable), given) if isinstance(given, str) else given)
         except (TypeError, ValueError):
             raise ScenarioError(f"{PLANT}.{name} = {given!r}: expected a number") from None
+        unit = variable.units.get(variable.unit or "") or si_unit(variable.unit or "")
+        return number * unit.factor + unit.offset if unit else number
 
     def values(self, key: str) -> list[float]:
         """Returns the values of a key of the description that lists variables, or names one."""

@@ -26,7 +26,7 @@ from orchestration.scenarios.vehicle import (
     description_of,
 )
 from orchestration.sweep.distributions import FUNCTIONS, Distribution
-from orchestration.system.quantities import in_unit_of
+from orchestration.system.quantities import are_equal, in_unit_of
 
 if TYPE_CHECKING:
     from orchestration.cli.changes import Changes
@@ -188,6 +188,12 @@ class Vehicle:
                 f"name the {causality} that stands for it by --map {names[0]}=NAME; its {causality}s are "
                 f"{listed(own, _LISTED) or '(none)'}"
             )
+        for name in (DEPTH, self.start_depth):
+            variable = self.variables.get(self.variable(name).removeprefix(PREFIX))
+            if variable and not are_equal(variable.unit, "m", {}, variable.units):
+                raise ScenarioError(
+                    f"plant is {self.name}: {variable.name} is in {variable.unit}: expected m"
+                )
         for name, own in self.mapping.items():
             if own not in self.variables:
                 raise ScenarioError(f"--map {PREFIX}{name}={own}: {nearest(own, self.variables)}")

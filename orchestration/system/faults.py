@@ -87,7 +87,7 @@ class Stuck(Effect):
 
     Parameters
     ----------
-    value : float or bool
+    value : float, int or bool
         In the unit of the input.
 
     Raises
@@ -101,7 +101,7 @@ class Stuck(Effect):
     array([0., 2., 2., 2.])
     """
 
-    value: float | bool
+    value: float | int | bool
 
     def __post_init__(self) -> None:
         if not isinstance(self.value, bool):

@@ -156,6 +156,13 @@ def test_entries_used_longest_ago_are_removed(entry: Path, monkeypatch: pytest.M
     assert {path.name for path in entry.parent.iterdir()} == {KEY, "new"}
 
 
+def test_a_copy_with_the_time_of_its_original_changed_when_it_was_made(tmp_path: Path) -> None:
+    (tmp_path / "copy.py").write_text("")
+    os.utime(tmp_path / "copy.py", (1e9, 1e9))
+    (_, _, changed), *_ = store.digests(tmp_path)
+    assert changed > 1e9 + 1.0
+
+
 WRITER = """
 import sys
 from fmus import store

@@ -317,6 +317,22 @@ def test_a_wrong_value_names_the_option(fmu: Path, assignment: str, message: str
         assert parameters in ({"a.k": 1e5}, {"a.word": "3 cm"})
 
 
+@pytest.mark.parametrize(
+    ("name", "unit", "read"),
+    [("k", "g", 2e-3), ("k", "degC", 275.15), ("depth", "cm", None), ("z", "km", None), ("z", "m", 2.0)],
+)
+def test_a_vehicle_is_read_in_si_units_and_its_depth_is_in_m(
+    tmp_path: Path, name: str, unit: str, read: float | None
+) -> None:
+    fmu = described(tmp_path / "a.fmu", ["control_force"], ["depth"], ["k", "z"], {name: unit})
+    (tmp_path / "a.vehicle.toml").write_text('[variables]\ninertia = "k"\nstart_depth = "z"\n')
+    if read is None:
+        with pytest.raises(ScenarioError, match=f"plant is a: {name} is in {unit}: expected m"):
+            Vehicle.of(str(fmu))
+    else:
+        assert Vehicle.of(str(fmu), settings={"plant.k": 2.0}).values().heave[0] == read
+
+
 def test_a_file_of_a_package_defines_its_own_units(fmu: Path) -> None:
     fathom = '<ssc:Unit name="fathom"><ssc:BaseUnit m="1" factor="1.8288"/></ssc:Unit>'
     assert ssp(fmu.parent, '<ssv:Real value="-2" unit="fathom"/>', "", fathom) == -3.6576

@@ -107,6 +107,7 @@ class Declared(Counting):
     period: ClassVar[float] = 0.1
     kp: float = variable(3.0, "Gain", unit="N/m", min=0.0)
     whole: float = 4
+    later: "float" = 5  # as with `from __future__ import annotations`
     order: int = 2
     on: bool = True
     weights: tuple[float, ...] = (1.0, 0.5)
@@ -131,6 +132,7 @@ def test_the_numbers_of_a_class_are_its_parameters_which_its_init_finds() -> Non
         "gain": ("Real", None, None),
         "kp": ("Real", "N/m", 0.0),
         "whole": ("Real", None, None),
+        "later": ("Real", None, None),
         "order": ("Integer", None, None),
         "on": ("Boolean", None, None),
         "weights[1]": ("Real", None, None),

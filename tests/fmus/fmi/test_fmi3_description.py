@@ -147,6 +147,8 @@ def test_defaults_are_those_of_the_standard(described: Callable[..., ModelDescri
     speed, small = variables["speed[2,3]"], variables["small"]
     assert (speed.unit, speed.nominal, speed.initial) == ("cm/s", "0.5", "calculated")
     assert (small.min, small.max) == ("0", "9")
+    wide = described('min="0" start="1"', 'min="-99999" start="1"')
+    assert {v.min for v in wide.modelVariables if v.name == "count"} == {"-32768"}
     assert [variables[f"text[{i}]"].start for i in (1, 2)] == ["ab", "c"]
     assert [item.value for item in variables["mode"].declaredType.items] == ["-1", "7"]  # type: ignore
 

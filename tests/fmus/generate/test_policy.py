@@ -118,6 +118,7 @@ def edited(old: str, new: str) -> Callable[[Path], object]:
     [
         (edited("class Policy", "class Polic"), "my.py: no class 'Policy'; nearest is 'Polic'"),
         (edited("import numpy as np", "import nunpy as np"), r"my.py:2: ModuleNotFoundError: .*'nunpy'"),
+        (edited("import numpy as np", "from pythonfmu import Real"), "my.py:2: .*; pythonfmu build -f"),
         (edited("import numpy as np", "from .x import y"), r"my.py:2: an import with dots"),
         (edited("class Policy:", "class Policy"), r"my.py:8: expected ':'"),
         (edited("weights.npy", "weight.npy"), "my.py:16: FileNotFoundError: .*; expected one beside"),

@@ -48,7 +48,7 @@ def test_scenarios_are_listed_where_no_fmu_is_built(
         (["build", "--platform", "win64", "--all-platforms"], "--platform: no effect with --all-platforms"),
         (["build", "ExamplePlant", "--flavour", "python", "--platform", "win64"], "flavour: expected none"),
         (["inspect", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),
-        (["build", "ExamplePlant", "--out", "broken.fmu"], "broken.fmu"),
+        (["build", "ExamplePlant", "--out", "broken.fmu"], "l1-depth: broken.fmu: "),
     ],
 )
 def test_a_failure_is_one_line_and_exit_status_1(

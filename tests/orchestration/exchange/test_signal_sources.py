@@ -155,7 +155,7 @@ def test_a_constant_and_a_table_are_handed_on_as_ramps(
     np.testing.assert_allclose(handed_on["a.y[1]"], own["a.y[1]"], atol=1e-14)  # rounding of values below 1
 
 
-@pytest.mark.parametrize("start", [0.0, -3.0, 0.7])
+@pytest.mark.parametrize("start", [0.0, -3.0, 0.6])  # of 0.6 s the quotients round up
 def test_the_ramps_of_a_jump_have_the_values_of_the_table_at_every_communication_point(start: float) -> None:
     """Of a jump at a point, two between points, and one at the first row."""
     times = start + np.array([0.25, 0.25, 0.5, 0.5, 0.8, 0.8, 0.85, 0.85, 1.5])

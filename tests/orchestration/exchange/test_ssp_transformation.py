@@ -20,9 +20,9 @@ step_size = 0.1
 """
 
 
-def packaged(folder: Path, unit: str) -> tuple[Scenario, Path]:
-    """The scenario and its package; unit: of the input, where the output has mm."""
-    described(folder / "a.fmu", outputs=["y"], units={"y": "mm"})
+def packaged(folder: Path, unit: str, of_output: str = "mm") -> tuple[Scenario, Path]:
+    """The scenario and its package; unit: of the input."""
+    described(folder / "a.fmu", outputs=["y"], units={"y": of_output})
     described(folder / "b.fmu", inputs=["u", "v"], units={"u": unit})
     (folder / "mine.toml").write_text(SCENARIO)
     written = scenario.load(folder / "mine.toml")
@@ -49,6 +49,9 @@ def test_a_transformation_acts_behind_the_conversion_of_units(tmp_path: Path) ->
     with ssp_read.opened(without_the_attribute(packaged(tmp_path, "m")[1])) as loaded:
         # 0.001 of a value in m, which is 1e-3 of the one in mm
         assert loaded.system.connections[0] == ("a.y", "b.u", LinearTransformation(1e-6, -0.5))
+    with ssp_read.opened(without_the_attribute(packaged(tmp_path, "K", "degC")[1])) as loaded:
+        expected = LinearTransformation(0.001, 0.001 * 273.15 - 0.5)
+        assert loaded.system.connections[0] == ("a.y", "b.u", expected)
 
 
 def test_a_transformation_between_equal_units_needs_no_attribute(tmp_path: Path) -> None:

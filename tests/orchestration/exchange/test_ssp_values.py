@@ -127,6 +127,7 @@ ITEMS += '<Item name="pi" value="2"/></Enumeration></SimpleType></TypeDefinition
         ("Integer", "4", "3 30", 4),
         ("Boolean", "true", "true false", False),
         ("Boolean", "0", "true false", False),
+        ("Boolean", "0", "false 1", True),
         ("Enumeration", "pi", "", 2),
         ("Enumeration", "pi", "pi none", 1),
         ("Enumeration", "linear", "linear pi", 2),

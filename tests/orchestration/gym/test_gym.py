@@ -96,12 +96,18 @@ def test_gymnasium_finds_nothing_wrong(task: Task) -> None:
         check_env(made.unwrapped)
 
 
-def test_the_agent_takes_the_place_of_the_component(task: Task) -> None:
+def test_the_agent_takes_the_place_of_the_component(task: Task, scenario: Scenario) -> None:
     assert (task.actions, task.observations) == ((FORCE,), (POSITION, REFERENCE))
     assert list(task.system.components) == ["plant"]
     assert task.experiment.parameters == {"plant.initial_state": 3.0}
     assert (task.experiment.signals, task.experiment.events) == ({}, ())
     assert task.experiment.record == (POSITION,)
+    later = replace(scenario.experiment, start_time=-3.0, step_sizes={"plant": 0.2, "control": 0.1})
+    other = task_of(replace(scenario, experiment=later), {"error": -1.0}, replaced="control")
+    assert other.experiment.step_sizes == {"plant": 0.2}
+    assert other.reward({}, {POSITION: 5.0, REFERENCE: 3.0}, 0.2) == pytest.approx(
+        -(20.0**2) * 0.2 / 4.0
+    )  # mm, s
 
 
 @pytest.mark.parametrize("names", [("a", "plant.y[1]", "b"), ("b", "a", "plant.y[1]")])

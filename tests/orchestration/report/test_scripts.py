@@ -105,19 +105,41 @@ def test_the_difference_of_two_runs_is_taken_on_lines_between_the_points_of_the_
     assert difference == [None, 1.0, -5.0, 0.0]
 
 
-def test_a_point_of_a_sweep_is_its_sample() -> None:
-    def column(name: str, kind: str, values: list[float]) -> dict[str, Any]:
-        return {"name": name, "unit": "", "kind": kind, "values": values}
+def column(name: str, kind: str, values: list[float]) -> dict[str, Any]:
+    return {"name": name, "unit": "", "kind": kind, "values": values}
 
+
+def drawn_points(shown: str, place: int, **changes: Any) -> Any:
+    """What the points of a sweep's first drawing are, or of its last one (-1)."""
     sweep = {
         "samples": [5.0, 7.0, 9.0],
         "first": ["k", "rmse"],
         "grid": None,
         "groups": [{"name": "all", "members": [0, 1, 2]}],
-        "columns": [column("k", "varied", [1.0, 2.0, 3.0]), column("rmse", "metric", [4.0, 5.0, 6.0])],
+        "columns": [column("k", "varied", [10.0, 9.0, -3.0]), column("rmse", "metric", [4.0, 5.0, 6.0])],
     }
-    files = SHARED / "points.js", FILES / "sweeps.js"
     ids = {"section.sweep": [{"dataset": {"sweep": "0"}}], "sweeps-compared": None}
-    replaced = "scatter = (place, points) => charts.push(points.map(({ sample }) => sample))"
-    drawn = f"({replaced}, charts.length = 0, redrawAll().then(() => charts.at(-1)))"
-    assert evaluated(drawn, *files, page={"sweeps": [sweep], "compared": []}, ids=ids) == [5.0, 7.0, 9.0]
+    replaced = f"scatter = (place, points) => charts.push(points.map({shown}))"
+    drawn = f"({replaced}, charts.length = 0, redrawAll().then(() => charts.at({place})))"
+    page = {"sweeps": [sweep | changes], "compared": []}
+    return evaluated(drawn, SHARED / "points.js", FILES / "sweeps.js", page=page, ids=ids)
+
+
+def test_a_point_of_a_sweep_is_its_sample() -> None:
+    assert drawn_points("({ sample }) => sample", -1) == [5.0, 7.0, 9.0]
+
+
+def test_a_map_has_its_numbers_in_ascending_order() -> None:
+    assert drawn_points("({ x, y, share }) => [x, y, share]", 0, grid=["k", "k"]) == [
+        [2, 2, 0.0],
+        [1, 1, 0.5],
+        [0, 0, 1.0],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("least", "largest", "ends"), [(-4, -4, [-4.2, -3.8]), (0, 0, [-1, 1]), (-3, 1, [-3.2, 1.2])]
+)
+def test_an_axis_of_points_has_room_about_them(least: float, largest: float, ends: list[float]) -> None:
+    padded = f"padded(null, {least}, {largest})"
+    assert evaluated(padded, SHARED / "points.js", page={}) == pytest.approx(ends)

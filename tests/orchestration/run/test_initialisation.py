@@ -14,7 +14,7 @@ import pytest
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuError, OrchestrationError, SimulationError
 from orchestration.run import simulate
-from orchestration.run.initialisation import solve_initial_values
+from orchestration.run.initialisation import nominal_of, solve_initial_values
 from orchestration.system.experiment import Experiment, Initialisation
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.system import CheckedSystem, System, check
@@ -192,6 +192,21 @@ def test_a_loop_of_one_output_comes_to_its_solution(
 ) -> None:
     solved = settled({"f": function(expression, nominal=nominal)}, (("f.y", "f.u"),), method)
     assert solved["f.u"] == pytest.approx(solution, rel=ROUNDING, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("output", "input_", "size"),
+    [(None, None, 1.0), ("3", None, 3.0), ("3", "-2", 2.0), (None, "0", 1.0), ("-3", None, 3.0)],
+)
+def test_changes_are_relative_to_the_size_of_the_nominal_of_the_input_or_else_of_the_output(
+    linear: Build, output: str | None, input_: str | None, size: float
+) -> None:
+    ports = check(System({"one": linear()}), ["one.u[1]"]).ports
+    ends = [
+        replace(ports[name], variable=replace(ports[name].variable, nominal=nominal))
+        for name, nominal in (("one.y[1]", output), ("one.u[1]", input_))
+    ]
+    assert nominal_of((ends[0], ends[1])) == size
 
 
 def test_newtons_method_takes_shorter_steps_where_a_value_is_discarded(function: Build) -> None:

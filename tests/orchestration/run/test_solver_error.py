@@ -59,9 +59,10 @@ def test_steps_stay_as_long_as_the_error_does_not_fall(
     experiment = Experiment(0.5, 0.1, tolerance=1e-4, algorithm=algorithm, extrapolation=extrapolation)
     with pytest.warns(
         FmuWarning, match=r"tolerance = 0\.0001 may not be met: at t = .* s the error of .*\.y\[1\]"
-    ):
+    ) as warned:
         run = simulate(inexact(linear, interpolates_inputs=interpolates), experiment)
     reached = run.provenance["solver_error"]
+    assert f"at t = {reached['from_time_s']:.9g} s" in str(warned[0].message)
     assert 0 < reached["steps"] <= run.provenance["steps_between_points"] < 100
     assert 1e-4 < true_error(run) <= reached["estimated_error"] < 100 * SOLVER_ERROR
 

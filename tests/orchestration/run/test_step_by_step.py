@@ -77,7 +77,8 @@ def test_a_run_advances_to_the_first_point_that_is_not_before_a_time(one: Simula
     expected = one.run(FORCED)
     run = one.start(FORCED)
     reached = []
-    for time in (0.3, 0.3, 0.35, 0.1, 2.0):  # 0.3 lies a rounding before the third point
+    # 0.3 lies a rounding before the third point, the next one a rounding behind it
+    for time in (0.3, 0.3 + 2e-16, 0.35, 0.1, 2.0):
         run.advance(time)
         reached.append(run.point)
     assert reached == [3, 3, 4, 4, 10]

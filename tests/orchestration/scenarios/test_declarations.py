@@ -45,7 +45,9 @@ def test_a_mistake_in_a_signal_is_one_line(declaration: object, message: str) ->
 def test_a_declaration_becomes_a_fault() -> None:
     declared = {"input": "a.u", "kind": "drop-out", "probability": 0.25, "seed": 3, "start": 1, "end": 2.5}
     assert fault(declared, "x") == Fault("a.u", DropOut(0.25, 3), 1.0, 2.5)
-    assert fault({"input": "a.u", "kind": "stuck", "value": True}, "x") == Fault("a.u", Stuck(True))
+    for value in (True, -3, 2.0):
+        stuck = fault({"input": "a.u", "kind": "stuck", "value": value}, "x")
+        assert repr(stuck) == repr(Fault("a.u", Stuck(value)))  # 1, 1.0 and true are equal
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,12 @@ def test_a_file_of_a_base_is_beside_the_base(tmp_path: Path) -> None:
         ),
         ('file = "data/waves.csv"', "t,a\n0\n", r"mine.toml:9: .*waves.csv:2: 1 cells: expected 2"),
         ('file = "data/waves.csv"', "t\n0\n", r"waves.csv:2: expected a number in column 2, got ''"),
+        ('file = "data/waves.csv"', ",Time,a\n0,0,1\n", r"waves.csv:1: 'time' is not the first column"),
+        (
+            'file = "data/waves.csv"\ncolumn = "a"',
+            "a,b\n0,1\n",
+            r"waves.csv:1: column = 'a': expected another",
+        ),
         ('file = "data/waves.csv"', "# mine\n0,1,5\n", r"waves.csv:2: 3 columns without titles: expected"),
         ('file = "data/waves.csv"', "t,a\n1,0\n1,2\n0,0\n", r"mine.toml:9: .*waves.csv:4: earlier time 0 s"),
         ('file = "data/waves.csv"', "t,a\n", r"mine.toml:9: .*table: expected times and as many values"),

@@ -50,6 +50,7 @@ def read(vehicle: Vehicle) -> VehicleData:
 def test_the_data_of_our_vehicle_are_its_start_values_and_ranges(data: VehicleData) -> None:
     assert (data.inertia, data.damping, data.drag) == ((5.0, 7.0), (1.0, 10.0), (0.0, 20.0))
     assert data.net_weight == pytest.approx((-1.5, -0.9))  # -1.2 N, buoyancy +-0.3 N
+    assert data.largest_weight == pytest.approx(1.5)
     assert data.gain == pytest.approx((0.8, 1.2))
     assert (data.force_limit, data.lag, data.delay, data.period) == (6.0, 0.05, 0.06, 0.04)
     assert data.noise == pytest.approx((0.002**2 + 0.002**2 / 12.0) ** 0.5)

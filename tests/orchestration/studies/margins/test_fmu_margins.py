@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,13 @@ def test_a_first_loss_is_enclosed_on_either_side_of_1(quiet: float, lost: float)
     assert GAINS.middle(quiet, lost) == pytest.approx(math.sqrt(quiet * lost))
 
 
+def test_factors_of_a_scan_are_at_most_a_step_apart() -> None:
+    up, down = (replace(GAINS, largest=largest).values() for largest in (10.0, 0.1))
+    assert max(b / a for a, b in pairwise(up)) <= GAINS.step
+    assert down == pytest.approx([1.0 / factor for factor in up], rel=1e-12)
+    assert replace(GAINS, largest=0.25, step=2.0).values() == pytest.approx([1.0, 0.5, 0.25], rel=1e-12)
+
+
 def test_nothing_lost_is_infinite(integrator: Scenario, scanned: Scanned) -> None:
     grid = replace(DELAYS, largest=0.4, step=0.2)
     measured = scanned(integrator, LoopSignal.MEASUREMENT, grid)
@@ -152,6 +160,13 @@ def test_a_component_without_a_loop_is_refused(integrator: Scenario, scanned: Sc
     )
     with pytest.raises(ScenarioError, match="no connection of a loop through plant"):
         scanned(open_loop, LoopSignal.MEASUREMENT)
+
+
+def test_the_hold_at_a_constant_input_is_the_last_part_of_the_run(integrator: Scenario) -> None:
+    later = replace(integrator.experiment, start_time=-100.0, inputs={"a.r": 1.0})
+    compared = {"error": {"function": "rmse", "signal": "plant.y[1]", "reference": "a.r"}}
+    chosen = replace(integrator, experiment=later, metrics=compared)
+    assert hold_of(chosen) == Hold("plant.y[1]", 200.0, 400.0)
 
 
 def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_reference() -> None:

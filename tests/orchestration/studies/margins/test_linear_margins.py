@@ -48,6 +48,7 @@ def test_three_lags_bear_a_gain_of_eight() -> None:
     )
     loop_margins = margins(LinearLoop(rows, "input", "u"))
     assert loop_margins.high_gain == pytest.approx(8.0, rel=1e-9)
+    assert loop_margins.low_gain == 0.0  # L(0) = -1 asks for a gain of -1
     assert loop_margins.delay == math.inf  # |L| < 1 everywhere
 
 
