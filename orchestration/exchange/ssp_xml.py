@@ -65,8 +65,11 @@ def read_value(parameter: Element) -> FmiValue:
     read |= {f"{sign}Int{bits}": int for sign in ("", "U") for bits in (8, 16, 32, 64)}
     read["Boolean"] = {"true": True, "1": True, "false": False, "0": False}.__getitem__
     for element in parameter:
-        kind = element.tag.rpartition("}")[2]
+        kind, text = element.tag.rpartition("}")[2], element.get("value", "")
         with suppress(KeyError, ValueError):
-            return read[kind](element.get("value", ""))
+            value = read[kind](text)
+            # Python, not XML, groups digits of a number by underscores
+            if isinstance(value, str) or "_" not in text:
+                return value
     expected = "a value of type Real, Integer, Boolean or String"
     raise ValueError(f"parameter {parameter.get('name')!r}: expected {expected}")

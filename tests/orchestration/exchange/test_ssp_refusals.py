@@ -88,6 +88,7 @@ def test_an_fmu_that_cannot_be_loaded_is_named_by_its_place_in_the_package(
         ('<ssc:BaseUnit kg="1"', '<ssc:BaseUnit kg="one"', "a unit: invalid literal for int"),
         ('unit="V"', 'unit="N"', "connector plant.voltage[1] is in N: expected V, the unit in the FMU"),
         ('<ssv:Integer value="2"', '<ssv:Integer value="two"', "expected a value of type Real, Integer"),
+        ('<ssv:Integer value="2"', '<ssv:Integer value="2_0"', "expected a value of type Real, Integer"),
     ],
 )
 def test_what_is_not_understood_is_refused(
