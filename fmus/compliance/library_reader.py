@@ -4,7 +4,7 @@ import io
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +59,10 @@ def _read_elf(content: bytes) -> Iterator[_Found]:
     elffile: Any = require("elftools.elf.elffile", *_NEEDED)
     library = elffile.ELFFile(io.BytesIO(content))
     found = {True: list[str](), False: list[str]()}
-    # the segment of the loader has the same symbols, and is slower to read
+    # the segment of the loader has the same symbols; it looks for its tables again for each of them
     for table in [*library.iter_sections("SHT_DYNSYM")] or library.iter_segments("PT_DYNAMIC"):
+        if hasattr(table, "get_table_offset"):
+            table.get_table_offset = cache(table.get_table_offset)
         for symbol in table.iter_symbols():
             if symbol["st_info"]["bind"] != _LOCAL:
                 found[symbol["st_shndx"] != _UNDEFINED].append(symbol.name)

@@ -15,6 +15,7 @@ from string import Template
 
 from fmus.block.scalars import flatten
 from fmus.block.variables import BlockVariable
+from fmus.errors import ExportError
 from fmus.generate.c_code import CFunction, ScalarC, c_function, c_functions
 from fmus.generate.operations import Operation
 from fmus.generate.trace import Traced
@@ -43,6 +44,8 @@ _GCC = "-mfpu=auto --specs=rdimon.specs -Wl,--section-start=.vectors=0,-z,noexec
 _QEMU = (
     "-icount shift=10 -display none -monitor none -serial none -semihosting-config enable=on,target=native"
 )
+# both end in seconds; QEMU does not if the program waits
+_PATIENCE_S = 60
 _SIZE = "-Os", "-fshort-enums", "-fno-pic", "-fstack-size-section"
 
 
@@ -116,18 +119,26 @@ def write_firmware(traced: Traced, folder: Path, microcontroller: str) -> list[P
 
 
 def _instructions(folder: Path, name: str, microcontroller: str, board: str) -> list[int]:
-    """Returns the instructions of the first step of example.c and of later ones; [] without GCC and QEMU."""
+    """Returns the instructions of the first step of example.c and of later ones; [] without GCC and QEMU.
+
+    Raises ExportError if one of them does not end.
+    """
     if not all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm"))):
         return []
     linked = f"-mcpu={microcontroller} -mfloat-abi=hard {_GCC} -L. -l{name} -lm -o loop"
     emulated = f"qemu-system-arm -M {board} {_QEMU} -kernel loop"
     shown = ""
     # where the first one fails, as without newlib, the second one shows nothing
-    for command in (f"arm-none-eabi-gcc emulator.c example.c {linked}", emulated):
-        shown = subprocess.run(
-            command.split(), cwd=folder, capture_output=True, text=True, check=False
-        ).stdout
-    (folder / "loop").unlink(missing_ok=True)
+    try:
+        for command in (f"arm-none-eabi-gcc emulator.c example.c {linked}", emulated):
+            shown = subprocess.run(
+                command.split(), cwd=folder, capture_output=True, text=True, check=False, timeout=_PATIENCE_S
+            ).stdout
+    except subprocess.TimeoutExpired as expired:
+        tool = expired.cmd[0]
+        raise ExportError(f"{name}: {tool} of example.c: expected an end in {_PATIENCE_S} s") from None
+    finally:
+        (folder / "loop").unlink(missing_ok=True)
     return [int(number) for number in re.findall(r"(\d+) in", shown)]
 
 

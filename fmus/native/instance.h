@@ -59,7 +59,8 @@ static void data_reset(Data *d) {
 
 /* In how many internal steps `data_step` takes a step of size h. */
 static INLINED double internal_steps(const Data *d, double h) {
-    return fmax(1, ceil(h / d->value[INTERNAL_STEP] * (1 - 1e-9)));
+    const double steps = h / d->value[INTERNAL_STEP] * (1 - 1e-9);
+    return steps <= 1 ? 1 : ceil(steps);
 }
 
 /* Of a model without derivative, for model exchange [s]: the suggested step size, in equal internal steps. */
@@ -212,13 +213,11 @@ static INLINED Outcome data_step(Data *d, StepCache *cache, double t, double h, 
     double outputs[N_OUTPUTS + 1];
     const double *p = d->value, *x = d->state;
     const double *c = data_calculated(d, fresh, broken);
-    const double steps = h / p[INTERNAL_STEP] * (1 - 1e-9);
+    const double count = internal_steps(d, h), internal = h / count;
     if (!c) return CONTRADICTORY;
-    if (!(steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
-    const int count = steps <= 1 ? 1 : (int)ceil(steps);
-    const double internal = h / count;
+    if (!(count <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
     double *numbers = step_numbers(cache, internal, p, c);
-    for (int i = 0;; i++) {
+    for (double i = 0;; i++) {
         if (d->inputs_have_rates) {
             data_inputs_at(d, (i + 0.5) * internal, moving);
             u = moving;

@@ -1,5 +1,6 @@
 """Controller and vehicle on a microcontroller give the numbers of their FMUs, bit for bit."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 
+from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.generate.firmware import firmware_sources, write_firmware
 from orchestration.scenarios import scenario
@@ -237,3 +239,19 @@ def test_without_gcc_and_qemu_the_table_has_no_instructions(
     with builder.loaded("ThrustAllocation") as (traced,):
         write_firmware(traced, tmp_path, "cortex-m7")
     assert "Instructions" not in (tmp_path / "README.md").read_text()
+
+
+@pytest.mark.cross
+def test_an_emulator_that_does_not_end_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for tool, work in (("arm-none-eabi-gcc", "touch loop"), ("qemu-system-arm", "exec sleep 60")):
+        (tmp_path / tool).write_text(f"#!/bin/sh\n{work}\n")
+        (tmp_path / tool).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setattr("fmus.generate.firmware._PATIENCE_S", 1)
+    expected = "ThrustAllocation: qemu-system-arm of example.c: expected an end in 1 s"
+    with (
+        builder.loaded("ThrustAllocation") as (traced,),
+        pytest.raises(ExportError, match=f"^{expected}$"),
+    ):
+        write_firmware(traced, tmp_path / "firmware", "cortex-m7")
+    assert not (tmp_path / "firmware/loop").exists()

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from elftools.elf.dynamic import Dynamic
 
 from fmus import files
 from fmus.compliance.examine import examine
@@ -109,6 +110,23 @@ def test_a_processor_that_nobody_knows_is_caught(elsewhere: Path, tmp_path: Path
     (message,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
     assert message.startswith(f"{path} is ELF")
     assert message.endswith("expected ELF AArch64")
+
+
+def test_a_library_without_sections_is_read_as_fast_as_one_with_them(
+    elsewhere: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pyelftools looks for a table in all entries of the loader's segment, which took most of the time."""
+    content, looked_for, look = members(elsewhere), list[str](), Dynamic.get_table_offset
+    path = library_name(NAME, "aarch64-linux")
+    library = bytearray(content[path])
+    library[0x28:0x30], library[0x3A:0x40] = bytes(8), bytes(6)  # place, size and number of the sections
+    content[path] = bytes(library)
+    monkeypatch.setattr(
+        Dynamic, "get_table_offset", lambda self, tag: looked_for.append(tag) or look(self, tag)
+    )
+    assert broken_rules(write(content, tmp_path / "stripped.fmu")) == {}
+    assert "DT_SYMTAB" in looked_for
+    assert len(looked_for) == len({*looked_for})
 
 
 def test_an_fmu_of_sources_alone_is_not_without_implementation(elsewhere: Path, tmp_path: Path) -> None:

@@ -12,14 +12,18 @@ from pathlib import Path
 
 from fmus.platforms import FMPY
 
+from .instance_code import CALLBACKS, LONG_MESSAGE, PROGRAM, SAVED, STEP
+
 HEADERS = FMPY / "c-code"
-# Eva keeps NaN where a comparison excludes it, so that these of a double that becomes an integer are false;
-# no access depends on such an integer
+# these concern doubles that become integers: any double is more than a variable of that type has, and Eva
+# keeps NaN where a comparison excludes it; no access depends on such an integer
 OF_NUMBERS = "non-finite double value", "overflow in conversion from floating-point", "invalid RHS operand"
+# of the loops over internal steps, which have no fixed end, eight states stay apart and others are joined;
+# results are kept, as Eva then analyses no function twice from the same state
 OPTIONS = (
-    "-machdep gcc_x86_64 -eva -eva-no-results -warn-special-float none -eva-precision 2 -eva-slevel 5000 "
-    "-eva-slevel-function shortest:0,any_text:0,data_refresh:0,checked:0 "
-    "-eva-split-return-function deserialize:0"
+    "-machdep gcc_x86_64 -eva -warn-special-float none -eva-precision 0 -eva-slevel 50000 "
+    "-eva-slevel-function shortest:0,any_text:0,checked:0,data_step:8 "
+    "-eva-split-return-function deserialize:0,is_consistent:0,is_flag:0,get_locals:0,data_calculated:full"
 )
 # arguments that the FMU may read; others have no contents, so that reading them is an alarm
 READ = re.compile(
@@ -29,116 +33,12 @@ READ = re.compile(
 )
 # arguments whose number counts elements of array variables
 NUMBERS = "Values", "Seed", "Sensitivity"
-LONG_MESSAGE = "for (size_t i = 0; i < size - 1; i++) text[i] = Frama_C_interval(0, 127); text[size - 1] = 0;"
-PROGRAM = """
-#include "__fc_builtin.h"
-#include <stdarg.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#define EITHER Frama_C_interval_split(0, 1)
-#define SOME(pointer) (Frama_C_interval(0, 1) ? (pointer) : NULL)
-double any_double(void);
-static int any_text(char *text, size_t size) {
-    MESSAGE
-    return 0;
-}
-/* of the C library: bodies, which are more precise than Frama-C's specifications */
-static char *copied(char *to, const char *from) {
-    size_t i = 0;
-    do to[i] = from[i]; while (from[i++]);
-    return to;
-}
-static size_t span(const char *text, const char *set) {
-    size_t i = 0;
-    while (text[i] && strchr(set, text[i])) i++;
-    return i;
-}
-#define vsnprintf(text, size, format, arguments) any_text(text, size)
-#define snprintf(text, size, ...) any_text(text, size)
-#define strtod(text, end) any_double()
-#define strspn span
-#define strcpy copied
-#include "fmiFMI.c"
-Data any_data(void);
-StepCache any_cache(void);
-typedef struct { char bytes[SERIALIZED_SIZE + 1]; } Bytes;
-Bytes any_bytes(void);
-static const size_t LIMITS[] = {
-    0, WORDS_PLACE - 1, WORDS_PLACE, SERIALIZED_SIZE - 1, SERIALIZED_SIZE, SERIALIZED_SIZE + 1,
-};
-DECLARED
-static const char *const names[] = {NULL, "", "a", "b", MODEL_GUID, "logAll"};
-#define NAME_OF_INSTANCE names[Frama_C_interval_split(0, 2)]
-#define ANY_NAME names[Frama_C_interval(0, 5)]
-static Instance *c;
-CALLBACKS
-int main(void) {
-    void *state = NULL;
-    c = malloc(sizeof *c + 2);
-    if (!c) return 0;
-    c->data = any_data();
-    c->data.face = Frama_C_interval(CO_SIMULATION, EXCHANGE);
-    c->data.parameters_are_stale = Frama_C_interval(0, 1);
-    c->data.n_steps = Frama_C_interval(0, 1000000000);
-    c->step_cache = any_cache();
-    c->step_cache.last = Frama_C_interval(0, N_STEP_SIZES - 1);
-    c->stop_time = any_double();
-    c->log.enabled = Frama_C_interval(0, LOG_ALL);
-    c->log.instance = (const char *)(c + 1);
-    ((char *)(c + 1))[0] = 'a';
-    ((char *)(c + 1))[1] = 0;
-    c->log.environment = NULL;
-    c->log.logger = LOGGER;
-    c->after_step = SOME(after_step);
-    c->can_return_early = Frama_C_interval(0, 1);
-    switch (Frama_C_interval_split(0, LAST)) {
-CALLS
-    }
-    //@ check api: \\valid(c);
-    //@ check api: CO_SIMULATION <= c->data.face <= EXCHANGE;
-    //@ check api: 0 <= c->data.parameters_are_stale <= 1;
-    //@ check api: 0 <= c->step_cache.last < N_STEP_SIZES;
-    //@ check api: c->log.instance == (char *)(c + 1);
-    //@ check api: state == \\null || \\valid((Snapshot *)state);
-    return 0;
-}
-"""
-SAVED = """if (EITHER) {
-            Snapshot *saved = state = malloc(sizeof *saved);
-            if (!saved) return 0;
-            strcpy(saved->guid, MODEL_GUID);
-            saved->data = any_data();
-            saved->data.face = Frama_C_interval(CO_SIMULATION, EXCHANGE);
-            saved->data.parameters_are_stale = Frama_C_interval(0, 1);
-            saved->data.n_steps = Frama_C_interval(0, 1000000000);
-        }
-        """
-CALLBACKS = {
-    2: """
-static void log_message(void *environment, const char *instance, fmi2Status status, const char *category,
-                        const char *message, ...) {}
-static void after_step(void *environment, fmi2Status status) {}
-static const fmi2CallbackFunctions callbacks = {log_message, calloc, free, after_step, 0};
-""",
-    3: """
-static void log_message(void *environment, fmi3Status status, const char *category, const char *message) {}
-/* inside a step, calls change inputs and, by an error, the mode */
-static void after_step(void *environment, double t, bool set, bool get, bool finished, bool can_return,
-                       bool *early, double *until) {
-    for (int i = FIRST_INPUT; i < FIRST_OUTPUT; i++) c->data.value[i] = any_double();
-    if (Frama_C_interval(0, 1)) c->data.mode = UPDATE_IN_ERROR;
-    *early = Frama_C_interval(0, 1);
-    *until = any_double();
-}
-""",
-}
 # argument of a type -> expression; others are arrays and numbers
 FIXED = {
-    "Component": "c",
-    "Instance": "c",
+    "Component": "it",
+    "Instance": "it",
     "FMUState": "state",
-    "FMUState*": "&state",
+    "FMUState*": "SOME(&state)",
     "String": "ANY_NAME",
     "CallbackFunctions*": "SOME(&callbacks)",
     "InstanceEnvironment": "NULL",
@@ -196,7 +96,7 @@ def _call(fmi: int, name: str, given: list[Argument]) -> str:
     is_state = "Serialize" in name or "Deserialize" in name
     n_lists = sum(one.kind == "ValueReference[]" for one in given)
     most = 1 if n_lists > 1 or "Instantiate" in name else 2
-    n_arrays = sum(one.kind.endswith("[]") for one in given)
+    places = [i for i, one in enumerate(given) if one.kind.endswith(("*", "[]")) and one.kind not in FIXED]
     sizes, arrays, contents, first, values = "", "", "", "", []
     for i, (kind, argument) in enumerate((one.kind, one.name) for one in given):
         if argument == "instanceName":
@@ -224,23 +124,32 @@ def _call(fmi: int, name: str, given: list[Argument]) -> str:
             )
             value = {"String": "ANY_NAME", "ValueReference": "Frama_C_interval_split(-1, N_VARIABLES)"}
             value["Boolean"] = "Frama_C_interval(0, 1)"
-            fill = (
-                f"for (size_t i = 0; i < {count}; i++) p_{i}[i] = {value.get(element, f'any_{element}()')};"
-            )
             if READ.search(f"{name}.{argument}"):
-                # a call of two arrays refuses both if one is missing
-                contents += f"if ({f'p_{i}' if n_arrays > 2 else 'GIVEN'}) {fill}\n"
+                fill = value.get(element, f"any_{element}()")
+                read = " && ".join(["it", *(f"p_{j}" for j in _read_with(name, places, i))])
+                contents += f"if ({read}) for (size_t i = 0; i < {count}; i++) p_{i}[i] = {fill};\n"
             values.append(f"p_{i}")
         else:
             values.append("Frama_C_interval(0, 1)" if kind == "Boolean" else f"any_{kind}()")
     if "eserialize" in name.replace("DeSerialize", "Deserialize"):
         contents = "*(Bytes *)a_1 = any_bytes();\n"
-    contents = contents.replace("GIVEN", " && ".join(value for value in values if value.startswith("p_")))
-    call, end = f"{name}({', '.join(values)});", "return 0;" if name.endswith("FreeInstance") else "break;"
+    call, end = f"{name}({', '.join(values)});", "c = NULL;\n" if name.endswith("FreeInstance") else ""
     if "Instantiate" in name:
-        call, end = f"c = {call}", "if (!c) return 0;\nbreak;"
-    saved = SAVED if any(one.kind.startswith("FMUState") for one in given) else ""
-    return f"\n{saved}{sizes}{arrays}{contents}{call}\nFrama_C_show_each_{name}();\n{end}\n"
+        call, end = f"c = {call}", "if (c) callback = c->after_step;\n"
+    begin = f"Instance *const it = {'c' if 'Instantiate' in name else 'SOME(c)'};\n"
+    begin += SAVED if any(one.kind.startswith("FMUState") for one in given) else ""
+    begin += STEP if name.endswith("DoStep") else ""
+    return f"\n{begin}{sizes}{arrays}{contents}{call}\nFrama_C_show_each_{name}();\n{end}break;\n"
+
+
+def _read_with(name: str, places: list[int], i: int) -> list[int]:
+    """Returns the places of the arrays without which the array at place i is not read."""
+    if len(places) <= 2:
+        return places
+    if len(places) == 4 and i in places[:2]:
+        first = i == places[0]
+        return [i, places[3 if first == name.endswith("DirectionalDerivative") else 2]]
+    return [i]
 
 
 def _size_of(given: list[Argument], i: int) -> str:
@@ -267,7 +176,8 @@ def analysed(
         (folder / name).write_text(text.replace("MESSAGE_SIZE = 1024", "MESSAGE_SIZE = 32"))
     (folder / "api.c").write_text(program(fmi, only, is_long))
     include = f"-cpp-extra-args=-I{folder} -I{HEADERS}"
-    unrolled = ["-eva-min-loop-unroll", "32"] if is_long else []
+    unrolled = ["-eva-slevel-function", "do_step_with_updates:8"] if fmi == 3 else []
+    unrolled += ["-eva-min-loop-unroll", "32"] if is_long else []
     command = ["frama-c", include, *unrolled, *OPTIONS.split(), str(folder / "api.c")]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
