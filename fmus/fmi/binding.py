@@ -176,7 +176,7 @@ class Library:
         return function
 
     def free_of_null(self) -> None:
-        """Calls fmi2FreeInstance, or that of FMI 3.0, with NULL in place of an instance."""
+        """Calls fmi2FreeInstance or fmi3FreeInstance with NULL."""
         getattr(self._functions, f"fmi{self.fmi}FreeInstance")(None)
 
     def unload(self) -> None:

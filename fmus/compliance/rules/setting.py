@@ -46,14 +46,12 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     """After other values, a stop time, changed inputs, steps, fmi2Terminate and fmi2Reset, start values are
     back, and every variable is in the same steps as in a new instance.
     """
-    changed, end = (
-        do.set_others(values.settable_while_stepping(probe.fmu)),
-        do.ignore(do.leap(1), do.terminate),
-    )
+    changed = do.set_others(values.settable_while_stepping(probe.fmu))
+    ended = do.together(changed, do.ignore(do.leap(1), do.terminate))
     others = do.set_others(values.settable_before(probe.fmu))
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
     usual = do.begin, do.read_all(), do.run_all(5)
-    for stop, words in ((do.step(5), ""), (do.together(changed, end), "other values, fmi2Terminate and ")):
+    for stop, words in ((do.step(5), ""), (ended, "other values, fmi2Terminate and ")):
         yield Row(
             f"after {words}fmi2Reset", (do.start, stop, do.reset, *usual), usual, tolerance=OF_EXPERIMENT
         )

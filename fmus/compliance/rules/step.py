@@ -94,10 +94,8 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
     below = -3 - int(probe.start_time / probe.step_size)
     for start in (3, below):
         at_first = do.forbidden, do.set_up(1000, start=start), do.enter_initialization_mode, do.read([v])
-        yield (
-            do.played(probe, at_first),
-            [(probe.point(start), "in initialization mode with startTime {:g} s")],
-        )
+        when = probe.point(start), "in initialization mode with startTime {:g} s"
+        yield do.played(probe, at_first), [when]
     # without a long run, only the times before are judged
     with suppress(NotApplicableError, NotJudgedError):
         whole = do.over_the_experiment(probe)
