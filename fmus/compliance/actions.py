@@ -26,7 +26,7 @@ def _action(method: Callable[Concatenate[Script, P], object]) -> Callable[P, Act
 
 
 call = _action(Script.call)
-glance = _action(Script.read)
+glance, glance_vectors = _action(Script.read), _action(Script.read_vectors)
 enter_initialization_mode = call("fmi2EnterInitializationMode")
 enter_event_mode = call("fmi2EnterEventMode")
 enter_continuous_time_mode = call("fmi2EnterContinuousTimeMode")

@@ -106,7 +106,7 @@ class LoadedFmu:
 
     def free_of_null(self) -> None:
         self._announce(b"fmi2FreeInstance(NULL)")
-        self._library.fmi2FreeInstance(None)
+        self._library.free_of_null()
 
     def _announce(self, call: bytes) -> None:
         """Writes the call that is about to be made into the file `CALLED`, for the case of a crash."""

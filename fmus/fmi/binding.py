@@ -175,6 +175,10 @@ class Library:
         """Returns the name of the function of the FMU that a call of `function` has called."""
         return function
 
+    def free_of_null(self) -> None:
+        """Calls fmi2FreeInstance or fmi3FreeInstance with NULL."""
+        getattr(self._functions, f"fmi{self.fmi}FreeInstance")(None)
+
     def unload(self) -> None:
         # of PythonFMU, which otherwise waits in Windows, maybe for ever, for a thread to end
         if hasattr(self._functions, "finalizePythonInterpreter"):

@@ -378,7 +378,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
 
 fmi2Status fmi2Reset(fmi2Component c) {
     Slave *s = c;
-    const double gain = s->data.real[GAIN], x = s->data.real[X];
+    const double gain = s->data.real[GAIN], x = s->data.real[X], u = s->data.real[U];
     const int state = s->data.state;
     s->resets++;
     if (IS("no reset after an error") && state == FAILED) return error(s, "no reset");
@@ -392,6 +392,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
     reset(&s->data);
     s->data.resets = 1;
     s->stop_time = INFINITY;
+    if (IS("reset keeps an input after the end") && state == TERMINATED) s->data.real[U] = u;
     if (IS("reset keeps parameters")) s->data.real[GAIN] = gain;
     if (IS("reset keeps the state")) s->data.real[X] = x;
     return fmi2OK;

@@ -20,8 +20,8 @@ enum { FIXED, TUNABLE, INPUT, DISCRETE_INPUT, STATE, OTHER };
 #define ORDER "the order of states is another"
 
 typedef struct {
-    double time, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, derived_v, before, timed, later_v, first_k, first_x;
-    int above_read, set, is_new, is_kept, is_read, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
+    double time, shown, k, e, u, x, v, a, nominal, stop, next, last_event, last_step, kept, kept_v, kept_k, kept_time, derived_x, derived_v, before, timed, later_v, first_k, first_x;
+    int above_read, set, is_new, is_kept, is_read, is_shown, up, stairs, turns, above, below, rising, stiff, state, set_up, iteration, evaluations, derivatives;
     const void *owner;
 } Data;
 typedef struct {
@@ -161,7 +161,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, f
     Model *m = c;
     NEED(INST);
     m->d.set_up = 1;
-    m->d.time = time;
+    m->d.time = IS("a negative start time is 0") ? fmax(time, 0) : time;
     m->d.stop = stop_defined ? stop : INFINITY;
     return fmi2OK;
 }
@@ -238,6 +238,9 @@ static int settable(const Model *m, const Variable *v) {
                 values[i] = (type)m->d.before;                                                               \
             if (IS("a derivative by reference is wrong after an event") && v->offset == O(a) && m->d.stairs > 5) \
                 values[i] += (type)(m->d.time > m->d.last_event);                                                \
+            if (v->offset == O(a) && !m->d.is_shown++) m->d.shown = m->d.a;                                  \
+            if (IS("a variable stays where states are set alone") && v->offset == O(a) && m->d.state == CONT) \
+                values[i] = (type)m->d.shown;                                                                \
             if (IS("time is read from 0 on") && v->offset == O(time)) values[i] -= (type)0.5;                \
             if (IS("time in multiples of 1 ms") && v->offset == O(time))                                     \
                 values[i] = (type)(1e-3 * floor(1e3 * m->d.time + 0.5));                                                \
@@ -265,6 +268,7 @@ static int settable(const Model *m, const Variable *v) {
             }                                                                                                \
         }                                                                                                    \
         stale = 1;                                                                                           \
+        m->d.is_shown = 0;                                                                                   \
         if (!IS("one instance computes for all")) evaluate(&m->d);                                           \
         return fmi2OK;                                                                                       \
     }
@@ -343,7 +347,7 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
     m->d.set = 0;
     m->d.derived_x = m->d.x;
     m->d.derived_v = m->d.v;
-    m->d.is_kept = m->d.is_read = 0;
+    m->d.is_kept = m->d.is_read = m->d.is_shown = 0;
     return fmi2OK;
 }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state, fmi2Boolean *enter,
@@ -373,8 +377,9 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
     if (IS("the time of the event is refused") && time == m->d.last_event && m->d.time > time)
         return error(m, "back at the event");
     if (IS("values stay where time is set back") && time > m->d.time) m->d.timed = time;
+    if (IS("time is not set back to an event") && time == m->d.last_event) return fmi2OK;
     m->d.time = time;
-    m->d.is_kept = m->d.is_read = 0;
+    m->d.is_kept = m->d.is_read = m->d.is_shown = 0;
     evaluate(&m->d);
     return fmi2OK;
 }
@@ -391,6 +396,7 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
     m->d.x = IS("states are limited") ? fmin(x[0], 0.5) : x[first];
     m->d.v = x[1 - first];
     m->d.timed = m->d.time;
+    if (IS("derivatives stay where an input is set alone")) m->d.is_kept = 0;
     evaluate(&m->d);
     return fmi2OK;
 }
@@ -427,7 +433,8 @@ static double acceleration(Data *d) {
     }
     d->derived_x = d->x;
     d->derived_v = d->v;
-    return IS("derivatives stay until the time is set") ? d->kept : d->a;
+    const int stay = IS("derivatives stay until the time is set") || IS("derivatives stay where an input is set alone");
+    return stay ? d->kept : d->a;
 }
 VECTOR(Derivatives, READ, 2, (d->derivatives++, d->v), acceleration(d))
 static double velocity(Data *d) {

@@ -25,7 +25,7 @@ _NOT_NEEDED = "completedIntegratorStepNotNeeded"
 _rule = partial(behaviour_rule, interface=MODEL_EXCHANGE)
 _rule_of_rows = partial(differential, interface=MODEL_EXCHANGE)
 _FOLLOWING = _DERIVATIVES, _INDICATORS  # they follow from time, states and inputs
-_read = do.read_vectors(_FOLLOWING)
+_ask, _read = do.glance_vectors(_FOLLOWING), do.read_vectors(_FOLLOWING)
 
 
 class _Start:
@@ -90,10 +90,6 @@ def _go(part: float) -> Action:
     return lambda script: script.write([_set_time(part), _move(part)])
 
 
-def _ask(script: Script) -> None:
-    script.read_vectors(_FOLLOWING)
-
-
 def _row(
     when: str,
     varied: Sequence[Action],
@@ -113,11 +109,12 @@ def derivatives_have_no_history(probe: Probe) -> Iterator[str]:
     """
     back = _go(0.3), do.expect(_read), _go(0.6), _ask, _go(0.3), _read, _read
     ways = [None, *range(min(probe.fmu.vector_length(_STATES), _MOST_STATES))]
-    moved = chain(*((_move(0.3), _ask, _move(0.9, alone), _read) for alone in ways))
-    fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1])) for alone in ways))
     # variables with one reference stand side by side, and so become a pair
     variables = sorted(events.follow_at_once(probe.fmu), key=lambda v: v.reference or 0)
     follow, pairs = do.read(variables), [*pairwise(variables[: do.MOST_VARIABLES])]
+    before = _move(0.3), _ask, do.glance(variables)
+    moved = chain(*((*before, _move(0.9, alone), _read, follow) for alone in ways))
+    fresh = chain(*((_move(0.9, alone), do.read_vectors(_FOLLOWING[::-1]), follow) for alone in ways))
     first, second = (
         chain(*((_go(part), do.read(pair[::order])) for part, pair in zip(cycle((0.3, 0.6)), pairs)))
         for order in (1, -1)
@@ -169,7 +166,8 @@ def time_goes_back_in_continuous_time(probe: Probe) -> Iterator[Row]:
     """After a completed step without an event the FMU is in continuous-time mode still; time can be set back
     as far as to the completed step before, or to the event before, and gives the derivatives of that time.
     """
-    begin = _go(0.0), do.expect(_read), _go(0.3), _go(0.0), _read
+    follow = do.read(events.follow_at_once(probe.fmu))
+    begin = _go(0.0), do.expect(_read, follow), _go(0.3), _go(0.0), _read, follow
     yield _row("after time was set back to the event's time", begin, failing="back at the event's time")
     complete = [] if probe.fmu.claims(_NOT_NEEDED) else [do.call("complete_step")]
     first = _go(0.3), *complete, _go(0.5)

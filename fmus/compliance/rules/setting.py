@@ -10,6 +10,7 @@ from fmus.compliance.rule import NotApplicableError, behaviour_rule
 from fmus.compliance.rules.derivatives import NOISE, values_of
 from fmus.compliance.rules.events import follow_at_once
 from fmus.compliance.script import SETTERS
+from fmus.compliance.texts import VECTORS
 from fmus.compliance.traces import paths
 from fmus.compliance.traces.generator import excited
 from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING
@@ -42,13 +43,15 @@ def start_values_are_as_declared(probe: Probe) -> Iterable[Row]:
 
 @differential("2.1.6")
 def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
-    """After other values, a stop time, changed inputs, steps and fmi2Reset, start values are back, and every
-    variable is in the same steps as in a new instance.
+    """After other values, a stop time, changed inputs, steps, fmi2Terminate and fmi2Reset, start values are
+    back, and every variable is in the same steps as in a new instance.
     """
+    changed = do.set_others(values.settable_while_stepping(probe.fmu))
+    ended = do.together(changed, do.ignore(do.leap(1), do.terminate))
     others = do.set_others(values.settable_before(probe.fmu))
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
     usual = do.begin, do.read_all(), do.run_all(5)
-    for stop, words in ((do.step(5), ""), (do.ignore(do.leap(1)), "more steps and ")):
+    for stop, words in ((do.step(5), ""), (ended, "other values, fmi2Terminate and ")):
         yield Row(
             f"after {words}fmi2Reset", (do.start, stop, do.reset, *usual), usual, tolerance=OF_EXPERIMENT
         )
@@ -213,9 +216,10 @@ def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
         alone = [(pair, []) for pair in pairs if others and pair[0].causality == "input"]
         for (v, x), beside in (*((pair, others) for pair in pairs), *alone):
             first = *begin, *do.set_at_once([pair for pair in beside if pair[0] is not v])
-            end = do.set_values([(v, x)]), do.read(readable)
+            vectors = VECTORS[1:3] if begin[1:] else ()
+            end = do.set_values([(v, x)]), do.read(readable), do.read_vectors(vectors)
             when = f"where it had been read in {mode} before {v.name} was set"
-            varied = *first, do.glance(readable), *end
+            varied = *first, do.glance(readable), do.glance_vectors(vectors), *end
             yield Row(when, varied, (*first, *end), tolerance=_ROUNDED, may_fail=True)
         # setting the time computes variables anew, so it gives the expected values
         if mode != "initialization mode":

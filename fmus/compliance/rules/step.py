@@ -91,8 +91,11 @@ def _runs(probe: Probe, v: Variable) -> Iterator[tuple[Script, Sequence[tuple[fl
         words = itertools.chain([initialised], itertools.repeat(point))
         yield do.played(probe, [*begin, do.read([v]), *read]), [*zip(times, words, strict=False)]
     # 4.2.4 does not list it among what is read
-    at_first = do.forbidden, do.set_up(1000, start=3), do.enter_initialization_mode, do.read([v])
-    yield do.played(probe, at_first), [(probe.point(3), "in initialization mode with startTime {:g} s")]
+    below = -3 - int(probe.start_time / probe.step_size)
+    for start in (3, below):
+        at_first = do.forbidden, do.set_up(1000, start=start), do.enter_initialization_mode, do.read([v])
+        when = probe.point(start), "in initialization mode with startTime {:g} s"
+        yield do.played(probe, at_first), [when]
     # without a long run, only the times before are judged
     with suppress(NotApplicableError, NotJudgedError):
         whole = do.over_the_experiment(probe)
