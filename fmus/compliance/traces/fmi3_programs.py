@@ -12,7 +12,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import names_of_fmi3
 from fmus.compliance.script import KINDS
 from fmus.compliance.traces.replay import CREATE, Call
-from fmus.fmi.binding import EVENT_MODE
+from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE
 from fmus.fmi.fmi3_description import TYPES
 
 SET_UP, _ENTER, _STEP = "fmi2SetupExperiment", "fmi2EnterInitializationMode", "fmi2DoStep"
@@ -233,10 +233,12 @@ def c_helpers(fmu: FmuFile) -> str:
 
 def c_parts(fmu: FmuFile) -> dict[str, str]:
     """Returns the parts of the program that depend on the FMU."""
-    uses_events = "fmi3True" if fmu.uses & EVENT_MODE else "fmi3False"
+    uses_events, returns_early = (
+        "fmi3True" if fmu.uses & use else "fmi3False" for use in (EVENT_MODE, EARLY_RETURN)
+    )
     return {
         "interface": fmu.interface,
-        "options": "" if fmu.is_model_exchange else f"{uses_events}, fmi3False, NULL, 0, ",
+        "options": "" if fmu.is_model_exchange else f"{uses_events}, {returns_early}, NULL, 0, ",
         "last": "" if fmu.is_model_exchange else ", NULL",
         "uses_events": uses_events,
         "resources": "UNPACKED/resources/" if fmu.fmi == 3 else "file:///UNPACKED/resources",

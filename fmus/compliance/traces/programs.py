@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 from itertools import chain, groupby
 from typing import Any
@@ -11,7 +12,7 @@ from fmus.compliance.rule import Shown, names_of_fmi3
 from fmus.compliance.script import KINDS
 from fmus.compliance.traces import fmi3_programs
 from fmus.compliance.traces.replay import CREATE, FREE, Call, ShortTrace
-from fmus.fmi.binding import EVENT_MODE, status_name
+from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, status_name
 
 _MOST_LINES = 40  # of a trace in a report
 _MOST_STEPS = 3  # in succession
@@ -23,7 +24,8 @@ _VECTORS = "Derivatives", "EventIndicators", "ContinuousStates", "NominalsOfCont
 
 def shown(trace: ShortTrace, fmu: FmuFile, finding: str) -> Shown:
     """Returns the lines of a trace that shows a finding, with both programs."""
-    trace = _with_own_bytes(trace)
+    trace, fmu = _with_own_bytes(trace), copy(fmu)
+    fmu.uses = trace.uses
     told = tuple(lines(trace, fmu))
     if fmu.fmi == 3:
         finding, trace = names_of_fmi3(finding), replace(trace, calls=[*fmi3_programs.own_calls(trace.calls)])
@@ -50,7 +52,7 @@ def lines(trace: ShortTrace, fmu: FmuFile) -> list[str]:
     several = len({call.instance for call in trace.calls}) > 1
     told = list[str]()
     for (instance, function), group in groupby(trace.calls, lambda call: (call.instance, call.function)):
-        some = [f"{instance + 1}: " * several + _line(call, names) for call in group]
+        some = [f"{instance + 1}: " * several + _line(call, names, trace.uses) for call in group]
         if function == "fmi2DoStep" and len(some) > _MOST_STEPS:
             some = [some[0], f"... {len(some) - 2} more steps", some[-1]]
         told += some
@@ -60,10 +62,12 @@ def lines(trace: ShortTrace, fmu: FmuFile) -> list[str]:
     return told
 
 
-def _line(call: Call, names: dict[tuple[str, int | None], str]) -> str:
+def _line(call: Call, names: dict[tuple[str, int | None], str], uses: int) -> str:
     if call.function == CREATE:
         name, logging = call.arguments
-        return f"{CREATE}({name!r}, loggingOn = {'fmi2True' if logging else 'fmi2False'})"
+        used = ", eventModeUsed = fmi2True" * bool(uses & EVENT_MODE)
+        used += ", earlyReturnAllowed = fmi2True" * bool(uses & EARLY_RETURN)
+        return f"{CREATE}({name!r}, loggingOn = {'fmi2True' if logging else 'fmi2False'}{used})"
     kind = call.function[7:]
     status = "" if call.status == 0 else f" returned {status_name(call.status)}"
     if kind in KINDS:
@@ -233,7 +237,7 @@ def fmpy_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
     kind = f"FMU{fmu.fmi}{'Model' if fmu.is_model_exchange else 'Slave'}"
     element = fmu.root.find("ModelExchange" if fmu.is_model_exchange else "CoSimulation")
     identifier = element.get("modelIdentifier") if element is not None else ""
-    uses_events = bool(fmu.uses & EVENT_MODE)
+    uses_events, returns_early = bool(fmu.uses & EVENT_MODE), bool(fmu.uses & EARLY_RETURN)
     lines, helpers = map(_fmpy_line, trace.calls), ""
     if fmu.fmi == 3:
         lines = (fmi3_programs.fmpy_line(call, fmu, _fmpy_line(call)) for call in trace.calls)
@@ -245,7 +249,7 @@ def fmpy_program(trace: ShortTrace, fmu: FmuFile, finding: str) -> str:
         identifier=identifier,
         fmi=fmu.fmi,
         helpers=helpers,
-        options=", eventModeUsed=True" if fmu.uses & EVENT_MODE else "",
+        options=", eventModeUsed=True" * uses_events + ", earlyReturnAllowed=True" * returns_early,
         body="\n".join(lines),
     )
 

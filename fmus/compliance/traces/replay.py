@@ -58,9 +58,13 @@ class Call:
 
 @dataclass(frozen=True)
 class ShortTrace:
-    """The calls that show a finding, in their order, with fmi2Instantiate and fmi2FreeInstance."""
+    """The calls that show a finding, in their order, with fmi2Instantiate and fmi2FreeInstance.
+
+    uses: of instances of FMI 3.0, see `Fmi3Library`
+    """
 
     calls: Sequence[Call]
+    uses: int = 0
 
 
 def _reply(script: Script, kept: Sequence[int], place: int) -> Reply:
@@ -102,7 +106,8 @@ def recorded(probe: Probe, case: Case, kept: Kept) -> ShortTrace:
     rows = [(row, number) for number, script in enumerate(scripts) for row in script.end.value]
     # each row begins with the time of its call
     rows.sort(key=lambda pair: pair[0][0])
-    return ShortTrace([Call(number, *call) for (_, *call), number in rows])
+    uses = scripts[0].options.get("uses", 0)
+    return ShortTrace([Call(number, *call) for (_, *call), number in rows], uses)
 
 
 class _Silent:

@@ -83,7 +83,7 @@ def shrunk_crash(
     for number, script in enumerate(scripts):
         calls += replay.rehearsed(number, script, fmu)
         calls += [Call(number, replay.FREE, [], 0)] * is_free
-    return ShortTrace(calls)
+    return ShortTrace(calls, scripts[0].options.get("uses", 0))
 
 
 def _minimal(case: Case, kept: Kept, shows: Callable[[Kept], bool], most: int) -> Kept:

@@ -47,6 +47,12 @@ SHORTEST = {
         "fmi2Instantiate('instance of the tour', loggingOn = fmi2True)",
         "fmi2FreeInstance()",
     ],
+    "step mode is not entered": [
+        "fmi3Instantiate('instance', loggingOn = fmi3True, eventModeUsed = fmi3True)",
+        "fmi3EnterInitializationMode(0, 0, 0, 0, 0)",
+        "fmi3ExitInitializationMode() returned error",
+        "fmi3FreeInstance()",
+    ],
 }
 
 
@@ -76,9 +82,12 @@ def test_a_seed_gives_the_same_traces_again_and_another_gives_others(tmp_path: P
     assert [len(trace.legs) for trace in first] == [7, 7, 7, 7]
 
 
-@pytest.mark.parametrize("name", slow_but(["reset keeps parameters"], SHORTEST))
+@pytest.mark.parametrize("name", slow_but(["reset keeps parameters", "step mode is not entered"], SHORTEST))
 def test_a_finding_is_shown_by_calls_each_of_which_it_needs(name: str, tmp_path: Path) -> None:
-    assert [*_shown(_mutant(name, tmp_path)).calls] == SHORTEST[name]
+    shown = _shown(_mutant(name, tmp_path))
+    assert [*shown.calls] == SHORTEST[name]
+    in_programs = "fmi3True, fmi3False, NULL, 0" in shown.programs["c"], "Used=True" in shown.programs["py"]
+    assert in_programs == ("eventModeUsed" in shown.calls[0],) * 2
 
 
 def test_a_finding_about_several_runs_has_the_reason_why_no_calls_show_it(tmp_path: Path) -> None:
