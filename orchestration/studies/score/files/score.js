@@ -52,7 +52,8 @@ async function drawTracking() {
 
 /** Rows that no other one beats in both metrics, by ascending RMSE. */
 function front(rows) {
-  const beaten = (row) => rows.some((other) => other !== row && value(other, "rmse") <= value(row, "rmse") && value(other, "total_variation") < value(row, "total_variation"));
+  const isBetter = (one, other) => ["rmse", "total_variation"].some((name) => value(one, name) < value(other, name));
+  const beaten = (row) => rows.some((other) => isBetter(other, row) && !isBetter(row, other));
   return rows.filter((row) => !beaten(row)).sort((a, b) => value(a, "rmse") - value(b, "rmse"));
 }
 
