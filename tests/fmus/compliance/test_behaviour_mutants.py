@@ -48,7 +48,7 @@ FIRST_MESSAGES = {
     "a completed step ends continuous-time mode": (
         "in the state 'continuous-time mode after a completed step': fmi2SetTime returned error"
     ),
-    "the size of a state is too small": "fmi2SerializedFMUstateSize is 256, which is too small",
+    "the size of a state is too small": "fmi2SerializedFMUstateSize is 264, which is too small",
     "bytes are those of the present": "gives other bytes of a saved state",
     "states change where continuous time begins": "by fmi2EnterContinuousTimeMode",
     "a flag of an event is not written": "fmi2NewDiscreteStates returned ok and left a value unwritten",
