@@ -190,7 +190,8 @@ y            = C x,   u saturated at +-control_limit
         " the estimate.",
         "The L1-norm condition requires a filter_bandwidth of at least 44.5 rad/s for the start values with"
         " the first-order filter, 36.4 rad/s with the third-order one.",
-        "adaptation_gain may be large: a step integrates prediction error and estimates exactly.",
+        "adaptation_gain may be large: a step solves the oscillation of prediction error and estimates"
+        " exactly.",
         "Without augmentation, the lag comes from A_m, not from the filter; augmentation removes most. With"
         " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta above 0"
         " where the reference crosses zero.",
