@@ -59,6 +59,15 @@ def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name:
 MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_the_text_of_each_fault_stands_once(fmi: int) -> None:
+    """A change of the C layer may copy or remove it; this is known before the long tests of the faults."""
+    text = "".join(c_sources_of(EVERYTHING, GUID, fmi=fmi).values())
+    assert {
+        fault: text.count(good) for fault, (good, _) in MUTANTS[f"fmi{fmi}"].items() if text.count(good) != 1
+    } == {}
+
+
 @pytest.mark.cross
 @pytest.mark.parametrize(
     ("fmi", "fault"), [(int(key[-1]), fault) for key in MUTANTS for fault in MUTANTS[key]]
@@ -67,7 +76,6 @@ def test_a_fault_of_the_c_layer_is_noticed(tmp_path: Path, fmi: int, fault: str)
     """Otherwise the test above would prove nothing."""
     good, bad = MUTANTS[f"fmi{fmi}"][fault]
     sources = c_sources_of(EVERYTHING, GUID, fmi=fmi)
-    assert sum(text.count(good) for text in sources.values()) == 1
     program = compiled({name: text.replace(good, bad) for name, text in sources.items()}, tmp_path, fmi=fmi)
     with pytest.raises(AssertionError):
         run(EVERYTHING, program, 1000, fmi=fmi, shrink=False)
