@@ -22,11 +22,12 @@ TARGETS = {
     "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
 }
 PLATFORMS = tuple(TARGETS)
-# name -> zig's target and processor with floating-point unit, and QEMU's board. No C library is linked: the
-# target has headers.
+# name -> zig's target, its processor with floating-point unit, and QEMU's board if there is one. No C library
+# is linked: the target has headers. RISC-V's code may lie anywhere in memory.
 MICROCONTROLLERS = {
-    "cortex-m4": ("thumb-linux-musleabihf", "cortex_m4+vfp4d16sp", "mps2-an386"),
-    "cortex-m7": ("thumb-linux-musleabihf", "cortex_m7+fp_armv8d16", "mps2-an500"),
+    "cortex-m4": ("thumb-linux-musleabihf -mcpu=cortex_m4+vfp4d16sp", "mps2-an386"),
+    "cortex-m7": ("thumb-linux-musleabihf -mcpu=cortex_m7+fp_armv8d16", "mps2-an500"),
+    "riscv64": ("riscv64-linux-musl -mcpu=baseline_rv64 -mcmodel=medany", ""),
 }
 # FMI 3.0.2, 2.5.1.4: names of the same platforms
 _PLATFORM_TUPLES = {"linux64": "x86_64-linux", "win64": "x86_64-windows", "darwin64": "x86_64-darwin"}

@@ -1,7 +1,7 @@
 """Traced functions -> C in two dialects: for one instance, and for a group of instances.
 
-`firmware.py` has a third one, for microcontrollers. All write the same operations, a statement each. So their
-numbers are the same bit for bit.
+`firmware_code.py` has a third one, for microcontrollers. All write the same operations, a statement each. So
+their numbers are the same bit for bit.
 """
 
 import textwrap
@@ -105,9 +105,15 @@ class ScalarC:
         return f"{self.column}{name}"
 
     def _declarations(self, f: CFunction) -> list[str]:
-        unset, numbered = f.schedule.in_branches, f.schedule.numbered
-        names = ", ".join(f"v{n} = {self.unset}" if n in unset else f"v{n}" for n in numbered)
-        return textwrap.wrap(f"{self.number} {names};", 110, subsequent_indent="    ") if names else []
+        unset, names = f.schedule.in_branches, dict[str, list[str]]()
+        for n in f.schedule.numbered:
+            names.setdefault(self._type(n), []).append(f"v{n} = {self.unset}" if n in unset else f"v{n}")
+        texts = [f"{number} {', '.join(listed)};" for number, listed in names.items()]
+        return [line for text in texts for line in textwrap.wrap(text, 110, subsequent_indent="    ")]
+
+    def _type(self, number: int) -> str:
+        """Returns the type in C of the number of an operation."""
+        return self.number
 
     def _steps(self, f: CFunction) -> Sequence[Step]:
         return f.schedule.steps

@@ -1,44 +1,22 @@
-"""Traced block -> C for a microcontroller, a header, a file and a static library, with the FMU's numbers.
-
-The C file is a third dialect of `c_code.py`: columns are structs with the names of the model description. It
-has no heap, no global state, no header of FMI, and one loop, over the internal steps of a step.
-"""
+"""A block for a microcontroller: its C, a static library, and a table of what it takes."""
 
 import re
 import shutil
 import struct
 import subprocess
-from collections.abc import Iterator, Sequence
-from importlib import resources
+from collections.abc import Iterator
 from pathlib import Path
-from string import Template
+from tempfile import TemporaryDirectory
 
-from fmus.block.scalars import flatten
-from fmus.block.variables import BlockVariable
+import numpy as np
+
 from fmus.errors import ExportError
-from fmus.generate.c_code import CFunction, ScalarC, c_function, c_functions
-from fmus.generate.operations import Operation
+from fmus.generate.firmware_code import firmware_sources
 from fmus.generate.trace import Traced
 from fmus.generate.verify import check_sampling, check_trace
 from fmus.native import toolchain
 from fmus.platforms import MICROCONTROLLERS
 
-# column of the traced functions -> its struct; a step writes the next state
-_STRUCTS = {
-    "p": "parameters",
-    "c": "calculated",
-    "u": "inputs",
-    "x": "state",
-    "next": "state",
-    "y": "outputs",
-}
-_CAUSALITIES = {"p": "parameter", "c": "calculatedParameter", "u": "input", "y": "output"}
-# words of C and C++, which Python takes as names
-_RESERVED = (
-    "auto bool case catch char const default delete do double enum explicit extern float friend goto inline "
-    "int long mutable namespace new operator private protected public register restrict short signed sizeof "
-    "static struct switch template this throw typedef typename union unsigned using virtual void volatile"
-)
 # of the program for QEMU, and of QEMU: the board has a timer
 _GCC = "-mfpu=auto --specs=rdimon.specs -Wl,--section-start=.vectors=0,-z,noexecstack"
 _QEMU = (
@@ -49,54 +27,23 @@ _PATIENCE_S = 60
 _SIZE = "-Os", "-fshort-enums", "-fno-pic", "-fstack-size-section"
 
 
-class FirmwareC(ScalarC):
-    """C99 whose columns are structs; their members have the names of the model description.
-
-    members: column of the traced functions -> name in C of each element -> its comment
-    """
-
-    def __init__(self, traced: Traced) -> None:
-        block = traced.block
-        self.name = block.name
-        variables = {column: block.of_causality(causality) for column, causality in _CAUSALITIES.items()}
-        variables["x"] = block.state_variables
-        self.members = {column: dict(_members(those)) for column, those in variables.items()}
-        self.members["next"] = self.members["x"]
-        self._names = {column: [*members] for column, members in self.members.items()}
-
-    def _column(self, name: str) -> str:
-        kind = _STRUCTS.get(name)
-        return f"{self.name}_{kind} *{name}" if kind else super()._column(name)
-
-    def _text(self, operation: Operation) -> str:
-        column, _, index = operation.text.partition("[")
-        return f"{column}->{self._names[column][int(index[:-1])]}" if column in _STRUCTS else operation.text
-
-
-def _members(variables: Sequence[BlockVariable]) -> Iterator[tuple[str, str]]:
-    """Yields the name in C and the comment of each variable: `theta[1,2]` is theta_1_2."""
-    taken: set[str] = {*_RESERVED.split()}
-    for v in variables:
-        member = re.sub(r"\W+", "_", v.name).strip("_")
-        while member in taken:
-            member += "_"
-        taken.add(member)
-        yield member, f"{v.description or v.name}: {v.expected}".replace("*/", "* /")
-
-
-def write_firmware(traced: Traced, folder: Path, microcontroller: str) -> list[Path]:
+def write_firmware(traced: Traced, folder: Path, microcontroller: str, number: str = "double") -> list[Path]:
     """Writes the files of a block for a microcontroller into a folder, and returns their paths.
+
+    number: `double` or `float`; of `float` the README has the difference from doubles of each output
 
     Raises ExportError for a block whose traced functions differ from its functions in Python.
     """
     check_trace(traced)
     check_sampling(traced.block)
-    name, texts = traced.block.name, firmware_sources(traced)
+    target, board = MICROCONTROLLERS[microcontroller]
+    name, texts = traced.block.name, firmware_sources(traced, number)
+    # what compares, and the program for a board, stay where they are of use
+    texts = {f: text for f, text in texts.items() if f != "beside.c" and (board or f != "emulator.c")}
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8", newline="\n")
-    target, processor, board = MICROCONTROLLERS[microcontroller]
-    options = ["-target", target, f"-mcpu={processor}", *toolchain.FLAGS, *_SIZE]
+    options = ["-target", *target.split(), *toolchain.FLAGS, *_SIZE]
     library = folder / f"lib{name}.a"
     toolchain.zig(["cc", *options, "-c", f"{name}.c", "-o", f"{name}.o"], folder)
     library.unlink(missing_ok=True)
@@ -113,7 +60,9 @@ def write_firmware(traced: Traced, folder: Path, microcontroller: str) -> list[P
     # no rows without GCC and QEMU
     rows += zip(titles, _instructions(folder, name, microcontroller, board), strict=False)
     lines = [f"# {name} on a {microcontroller}", "", "| | |", "|---|---:|"]
-    lines += [f"| {text} | {number:,} |" for text, number in rows]
+    lines += [f"| {text} | {count:,} |" for text, count in rows]
+    if number != "double":
+        lines += _beside_doubles(traced, number)
     table.write_text("\n".join([*lines, ""]), encoding="utf-8", newline="\n")
     return [*(folder / file for file in texts), library, table]
 
@@ -123,7 +72,7 @@ def _instructions(folder: Path, name: str, microcontroller: str, board: str) -> 
 
     Raises ExportError if one of them does not end.
     """
-    if not all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm"))):
+    if not board or not all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm"))):
         return []
     linked = f"-mcpu={microcontroller} -mfloat-abi=hard {_GCC} -L. -l{name} -lm -o loop"
     emulated = f"qemu-system-arm -M {board} {_QEMU} -kernel loop"
@@ -142,57 +91,54 @@ def _instructions(folder: Path, name: str, microcontroller: str, board: str) -> 
     return [int(number) for number in re.findall(r"(\d+) in", shown)]
 
 
-def firmware_sources(traced: Traced) -> dict[str, str]:
-    """Returns file name -> text: the header, the C file and an example."""
-    block, dialect = traced.block, FirmwareC(traced)
-    native = resources.files("fmus") / "native"
-    step, constants = c_functions(traced.step, "block_step", held=("h", "p", "c"), inputs="u")
-    others = ("calculate", "requirements", "initial_state", "output")
-    functions: list[CFunction] = [*step, *(c_function(getattr(traced, f), f"block_{f}") for f in others)]
-    values = {
-        "name": block.name,
-        "description": " ".join(block.description.split()).replace("*/", "* /"),
-        "structs": "\n".join(_struct(dialect, column) for column in ("p", "c", "u", "y", "x")),
-        "parameters": _starts(block.parameters()),
-        "inputs": _starts(block.inputs()),
-        "constants": constants + 1,
-        "requirements": len(traced.required),
-        "required": "".join(f" *   {i}: expected {text}\n" for i, text in enumerate(traced.required, 1)),
-        "elementary": (native / "elementary.h").read_text("utf-8"),
-        "equations": "\n".join(map(dialect.function, functions)),
-        "step_size": repr(float(block.step_size)),
-    }
-    template = (native / "firmware.c.in").read_text("utf-8")
-    parts = re.split(r"^//// (.+)\n", Template(template).substitute(values), flags=re.MULTILINE)[1:]
-    return dict(zip(parts[::2], parts[1::2], strict=True))
-
-
-def _struct(dialect: FirmwareC, column: str) -> str:
-    members = dialect.members[column] or {"none": "C99 has no empty struct"}
-    lines = "".join(f"    double {name}; /* {text} */\n" for name, text in members.items())
-    return f"typedef struct {{\n{lines}}} {dialect.name}_{_STRUCTS[column]};\n"
-
-
-def _starts(values: object) -> str:
-    return ", ".join(repr(float(value)) for value in flatten(values)) or "0"
+def _beside_doubles(traced: Traced, number: str) -> list[str]:
+    """Returns the lines of a table: how far each output is from a run in doubles, both on this machine."""
+    name, outputs = traced.block.name, traced.block.of_causality("output")
+    runs = list[np.ndarray]()
+    for kind in ("double", number):
+        with TemporaryDirectory(prefix="l1-depth-beside-") as place:
+            for file, text in firmware_sources(traced, kind).items():
+                (Path(place) / file).write_text(text, encoding="utf-8", newline="\n")
+            program = ["beside.c", f"{name}.c", "-lm", "-o", "beside.exe"]
+            toolchain.zig(["cc", *toolchain.FLAGS, *program], Path(place))
+            command = [Path(place) / "beside.exe"]
+            done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_PATIENCE_S)
+        runs.append(np.array([line.split() for line in done.stdout.splitlines()], float))
+        if done.returncode or not np.all(np.isfinite(runs[-1])):
+            raise ExportError(f"{name} in {kind}s: expected finite numbers from its start values")
+    largest, differences = np.max(np.abs(runs[0]), axis=0), np.max(np.abs(runs[1] - runs[0]), axis=0)
+    about = f"Beside doubles, in {len(runs[0])} steps from 0 and from 86,400 s with moving inputs"
+    return [
+        *("", f"| {about} | Largest value | Largest difference |", "|---|---:|---:|"),
+        *(
+            f"| {v.name} [{v.unit or 1}] | {value:.4g} | {difference:.2g} |"
+            for v, value, difference in zip(outputs, largest, differences, strict=True)
+        ),
+    ]
 
 
 def _sizes(compiled: bytes) -> tuple[int, int]:
-    """Returns the bytes of code and constants in a 32-bit ELF object, and of its two largest stack frames."""
-    table, size, count, names = struct.unpack_from("<I10x3H", compiled, 32)
-    sections = [struct.unpack_from("<6I", compiled, table + i * size) for i in range(count)]
+    """Returns the bytes of code and constants in an ELF object, and of its two largest stack frames."""
+    # EI_CLASS is ELFCLASS64
+    is_64 = compiled[4] == 2
+    table, size, count, names = struct.unpack_from(
+        f"<{'Q' if is_64 else 'I'}10x3H", compiled, 40 if is_64 else 32
+    )
+    sections = [
+        struct.unpack_from("<2I4Q" if is_64 else "<6I", compiled, table + i * size) for i in range(count)
+    ]
     code, frames = 0, [0, 0]
     for name, kind, flags, _, offset, length in sections:
         # SHT_PROGBITS; SHF_ALLOC without SHF_WRITE
         code += length if kind == 1 and flags & 3 == 2 else 0
         if compiled[sections[names][4] + name :].startswith(b".stack_sizes\0"):
-            frames += _frames(compiled[offset : offset + length])
+            frames += _frames(compiled[offset : offset + length], 8 if is_64 else 4)
     return code, sum(sorted(frames)[-2:])
 
 
-def _frames(entries: bytes) -> Iterator[int]:
+def _frames(entries: bytes, address: int) -> Iterator[int]:
     """Yields the size of each frame: after the address of its function, 7 bits a byte, the low ones first."""
     while entries:
-        last = next(i for i in range(4, len(entries)) if entries[i] < 128)
-        yield sum((byte & 127) << 7 * i for i, byte in enumerate(entries[4 : last + 1]))
+        last = next(i for i in range(address, len(entries)) if entries[i] < 128)
+        yield sum((byte & 127) << 7 * i for i, byte in enumerate(entries[address : last + 1]))
         entries = entries[last + 1 :]

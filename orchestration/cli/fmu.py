@@ -72,6 +72,13 @@ def build(
     all_platforms: Annotated[
         bool, typer.Option("--all-platforms", help="Compile for all platforms.")
     ] = False,
+    single: Annotated[
+        bool,
+        typer.Option(
+            "--float",
+            help="For a microcontroller, compute in single precision; its README.md has the differences.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -137,8 +144,11 @@ def build(
         unused = {"--flavour": flavour is not Flavour.NATIVE, "--cache": cache, "--terminals": terminals}
         unused |= {"--reals-only": reals_only, "--with-reference": with_reference, "--fmi": fmi != 2}
         refuse_without_effect(f"--platform {platform}", unused | {"--scalars": scalars})
-        _write_firmware(names or block_names(), out or _FOLDERS[flavour] / platform, platform)
+        folder = out or _FOLDERS[flavour] / platform
+        _write_firmware(names or block_names(), folder, platform, "float" if single else "double")
         return
+    if single:
+        fail(f"--float: expected --platform with one of {', '.join(MICROCONTROLLERS)}")
     given = [name.strip() for name in platform.split(",")] if platform else ()
     named = check_platforms(given, (*PLATFORMS, *MICROCONTROLLERS))
     if alone := MICROCONTROLLERS.keys() & {*named}:
@@ -179,7 +189,7 @@ def build(
         fail(listed + reasons)
 
 
-def _write_firmware(names: Sequence[str], folder: Path, microcontroller: str) -> None:
+def _write_firmware(names: Sequence[str], folder: Path, microcontroller: str, number: str) -> None:
     """Writes the folder of each block for a microcontroller, and prints its files."""
     from fmus.generate.builder import loaded
     from fmus.generate.firmware import write_firmware
@@ -187,7 +197,7 @@ def _write_firmware(names: Sequence[str], folder: Path, microcontroller: str) ->
     for name in names:
         with loaded(name) as blocks:
             for traced in blocks:
-                files = write_firmware(traced, folder / traced.block.name, microcontroller)
+                files = write_firmware(traced, folder / traced.block.name, microcontroller, number)
                 print(*files, sep="\n", flush=True)
 
 

@@ -15,7 +15,10 @@ from fmpy.fmi2 import FMU2Slave
 
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.firmware import firmware_sources, write_firmware
+from fmus.generate.firmware import write_firmware
+from fmus.generate.firmware_code import firmware_sources
+from fmus.native import toolchain
+from fmus.platforms import MICROCONTROLLERS
 from orchestration.scenarios import scenario
 from orchestration.system.signals import values_at
 
@@ -38,11 +41,13 @@ OFFSET, PRIME = 14695981039346656037, 1099511628211
 
 # A Cortex-M starts at the address behind that of its stack; coprocessors 10 and 11 are the FPU, which is off.
 LOOP = """
+#include <math.h>
 #include <stdio.h>
 #include "L1DepthController.h"
 #include "RovDepthPlant.h"
 #include "reference.h"
 #define PRIME 1099511628211ull
+#ifdef __arm__
 extern void _start(void);
 static void reset(void) {
     *(volatile unsigned *)0xE000ED88 |= 0xFu << 20;
@@ -50,6 +55,7 @@ static void reset(void) {
     _start();
 }
 __attribute__((section(".vectors"), used)) void (*const vectors[])(void) = {(void (*)(void))0x400000, reset};
+#endif
 static unsigned long long digest = 14695981039346656037ull;
 static void add(const void *outputs, unsigned size) {
     for (const unsigned long long *word = outputs; size; size -= 8) digest = (digest ^ *word++) * PRIME;
@@ -57,7 +63,7 @@ static void add(const void *outputs, unsigned size) {
 int main(void) {
     static L1DepthController controller = L1DepthController_START;
     static RovDepthPlant plant = RovDepthPlant_START;
-    double rate = 0;
+    double rate = 0, squares = 0;
     SETTINGS
     for (int i = 0; i < 2; i++) {
         if (RovDepthPlant_initialise(&plant, 0, H)) return 1;
@@ -75,11 +81,12 @@ int main(void) {
         L1DepthController_output(&controller, i * H + H);
         RovDepthPlant_output(&plant, i * H + H);
         rate = controller.outputs.predicted_depth_rate;
+        squares += pow(plant.outputs.depth - REFERENCE[i], 2);
         OF_SINES
         add(&controller.outputs, sizeof controller.outputs);
         add(&plant.outputs, sizeof plant.outputs);
     }
-    printf("%.17g %.17g %llu\\n", plant.outputs.depth, rate, digest);
+    printf("%.17g %.17g %llu %.17g\\n", plant.outputs.depth, rate, digest, sqrt(squares / STEPS));
     return 0;
 }
 """
@@ -123,13 +130,13 @@ class Slave:
 
 def loop_of_fmus(
     built: Mapping[str, Path], settings: Mapping[str, Any], reference: np.ndarray
-) -> tuple[float, float, int]:
-    """Returns the last depth [m] and predicted depth rate [m/s], and the digest of all outputs."""
+) -> tuple[float, float, int, float]:
+    """Returns last depth [m] and predicted depth rate [m/s], digest of all outputs, RMS error [m]."""
     slaves = {name: Slave(built[block]) for name, block in BLOCKS.items()}
     for name, value in settings.items():
         component, _, variable = name.partition(".")
         slaves[component].set(variable, value)
-    digest = OFFSET
+    digest, squares = OFFSET, 0.0
 
     def exchange(now: float) -> None:
         values = [slaves[one].get(output) for one, output, *_ in WIRES]
@@ -148,7 +155,9 @@ def loop_of_fmus(
         for slave in slaves.values():
             for word in np.array(slave.outputs()).view(np.uint64).tolist():
                 digest = (digest ^ word) * PRIME % 2**64
-    return slaves["plant"].get("depth"), slaves["controller"].get("predicted_depth_rate"), digest
+        squares += (slaves["plant"].get("depth") - reference[i]) ** 2
+    depth, rate = slaves["plant"].get("depth"), slaves["controller"].get("predicted_depth_rate")
+    return depth, rate, digest, float(np.sqrt(squares / STEPS))
 
 
 def run(command: list[str], folder: Path) -> str:
@@ -157,15 +166,28 @@ def run(command: list[str], folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.cross
-def test_the_nominal_loop_on_a_cortex_m7_has_the_bits_of_the_fmus(
-    built: Mapping[str, Path], scenario_fmus: None, tmp_path: Path
-) -> None:
-    """15,500 steps of the same size with the sensor's noise, in an emulator without operating system."""
+@pytest.fixture(scope="module")
+def nominal() -> tuple[dict[str, Any], np.ndarray]:
+    """Settings of the nominal scenario with the extension, and the reference [m] at each step."""
     experiment = scenario.load(scenario.find("nominal-extended")).experiment
     # "pi" is item 2
     settings = {**experiment.parameters, "controller.augmentation": 2}
-    reference = values_at(experiment.signals["controller.depth_reference"], np.arange(STEPS) * H)
+    return settings, values_at(experiment.signals["controller.depth_reference"], np.arange(STEPS) * H)
+
+
+@pytest.fixture(scope="module")
+def of_fmus(
+    built: Mapping[str, Path], scenario_fmus: None, nominal: tuple[dict[str, Any], np.ndarray]
+) -> tuple[float, float, int, float]:
+    """What the loop of the FMUs gives."""
+    return loop_of_fmus(built, *nominal)
+
+
+def looped(
+    nominal: tuple[dict[str, Any], np.ndarray], folder: Path, microcontroller: str, number: str = "double"
+) -> tuple[float, float, int, float]:
+    """Returns what the loop gives on an emulated processor; number: of the controller."""
+    settings, reference = nominal
     lines = [f"{n.replace('.', '.parameters.', 1)} = {v};" for n, v in settings.items()]
     wires = [
         f"{other}.inputs.{member(name)} = {one}.outputs.{member(output)};"
@@ -173,28 +195,53 @@ def test_the_nominal_loop_on_a_cortex_m7_has_the_bits_of_the_fmus(
     ]
     numbers = ", ".join(value.hex() for value in reference.tolist())
     text = f"enum {{ STEPS = {STEPS} }};\nstatic const double H = {H}, REFERENCE[] = {{{numbers}}};\n"
-    (tmp_path / "reference.h").write_text(text)
+    (folder / "reference.h").write_text(text)
     code = LOOP.replace("SETTINGS", "\n".join(lines)).replace("EXCHANGE", "\n".join(wires))
     code = code.replace("OF_SINES", " ".join(f"controller.outputs.{name} = 0;" for name in OF_SINES))
-    (tmp_path / "loop.c").write_text(code)
-    for block in BLOCKS.values():
+    (folder / "loop.c").write_text(code)
+    for block, its in zip(BLOCKS.values(), (number, "double"), strict=True):
         with builder.loaded(block) as (traced,):
-            write_firmware(traced, tmp_path, "cortex-m7")
-    options = ["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-ffp-contract=off"]
-    options += ["--specs=rdimon.specs"]
-    libraries = ["-L.", *(f"-l{block}" for block in BLOCKS.values()), "-lm"]
-    start = "-Wl,--section-start=.vectors=0,-z,noexecstack,--fatal-warnings"
-    run(
-        ["arm-none-eabi-gcc", *options, "-Wall", "-Werror", start, "loop.c", *libraries, "-o", "loop"],
-        tmp_path,
-    )
-    emulator = ["qemu-system-arm", "-M", "mps2-an500", "-display", "none", "-serial", "null"]
-    emulator += ["-monitor", "none", "-semihosting-config", "enable=on,target=native", "-kernel", "loop"]
-    shown = run(emulator, tmp_path)
-    depth, rate, digest = loop_of_fmus(built, settings, reference)
-    assert shown.split()[::2] == [format(depth, ".17g"), str(digest)]
+            write_firmware(traced, folder, microcontroller, its)
+    linked = ["loop.c", "-L.", *(f"-l{block}" for block in BLOCKS.values()), "-lm", "-o", "loop"]
+    target, board = MICROCONTROLLERS[microcontroller]
+    if board:
+        options = [f"-mcpu={microcontroller}", "-mfpu=auto", "-mfloat-abi=hard", "-ffp-contract=off"]
+        options += ["--specs=rdimon.specs", "-Wall", "-Werror"]
+        options += ["-Wl,--section-start=.vectors=0,-z,noexecstack,--fatal-warnings"]
+        run(["arm-none-eabi-gcc", *options, *linked], folder)
+        emulator = ["qemu-system-arm", "-M", board, "-display", "none", "-serial", "null"]
+        emulator += ["-monitor", "none", "-semihosting-config", "enable=on,target=native", "-kernel", "loop"]
+    else:
+        options = ["-ffp-contract=off", "-Wall", "-Werror", "-static"]
+        toolchain.zig(["cc", "-target", *target.split(), *options, *linked], folder)
+        emulator = ["qemu-riscv64-static", "loop"]
+    depth, rate, digest, error = run(emulator, folder).split()
+    return float(depth), float(rate), int(digest), float(error)
+
+
+@pytest.mark.cross
+@pytest.mark.parametrize("microcontroller", ["cortex-m7", "riscv64"])
+def test_the_nominal_loop_on_a_microcontroller_has_the_bits_of_the_fmus(
+    nominal: Any, of_fmus: tuple[float, float, int, float], tmp_path: Path, microcontroller: str
+) -> None:
+    """15,500 steps of the same size with the sensor's noise, in an emulator without operating system."""
+    depth, rate, digest, error = looped(nominal, tmp_path, microcontroller)
+    # the error is summed with a function of the C library
+    assert (depth, digest, error) == (*of_fmus[::2], pytest.approx(of_fmus[3], rel=1e-12))
     # rounding errors of 1e-16 of some 1 m/s, which the feedback of the predictor keeps small
-    assert float(shown.split()[1]) == pytest.approx(rate, abs=1e-12)
+    assert rate == pytest.approx(of_fmus[1], abs=1e-12)
+
+
+@pytest.mark.cross
+def test_a_controller_in_floats_tracks_as_the_fmu(
+    nominal: Any, of_fmus: tuple[float, float, int, float], tmp_path: Path
+) -> None:
+    """A float differs by 1e-7. It moves some readings by the sensor's resolution, as noise does."""
+    depth, _, digest, error = looped(nominal, tmp_path, "cortex-m4", "float")
+    print(depth, of_fmus[0], error, of_fmus[3])
+    assert error == pytest.approx(of_fmus[3], rel=1e-3)
+    assert depth == pytest.approx(of_fmus[0], abs=1e-3)
+    assert digest != of_fmus[2]
 
 
 @pytest.mark.parametrize("name", ["ThrustAllocation", "DepthReference", "L1DepthController"])
@@ -221,15 +268,31 @@ def test_the_how_to_leads_to_a_light_that_blinks_and_the_table_has_the_instructi
 
 
 @pytest.mark.cross
-def test_a_cortex_m4_takes_ten_times_the_instructions_for_its_doubles(tmp_path: Path) -> None:
-    """Each of some 1,000 operations is a call of 10 to 40 instructions."""
+def test_a_cortex_m4_takes_ten_times_the_instructions_for_doubles_and_a_fifth_of_them_for_floats(
+    tmp_path: Path,
+) -> None:
+    """Each of some 1,000 operations of doubles is a call of 10 to 40 instructions."""
     instructions: list[int] = []
     with builder.loaded("L1DepthController") as (traced,):
-        for microcontroller in ("cortex-m7", "cortex-m4"):
-            write_firmware(traced, tmp_path / microcontroller, microcontroller)
-            table = (tmp_path / microcontroller / "README.md").read_text().replace(",", "")
+        for processor, number in (("cortex-m7", "double"), ("cortex-m4", "double"), ("cortex-m4", "float")):
+            folder = tmp_path / number / processor
+            write_firmware(traced, folder, processor, number)
+            table = (folder / "README.md").read_text().replace(",", "")
             instructions.append(int(re.findall(r"(\d+) \|$", table, re.MULTILINE)[3]))
     assert 10 < instructions[1] / instructions[0] < 40
+    assert 4 < instructions[1] / instructions[2] < 6
+
+
+def test_floats_have_their_differences_from_doubles_in_the_table_after_a_day_too(tmp_path: Path) -> None:
+    """A float has 24 bits: sums of some ten terms differ by 1e-7 to 1e-5, a missed sample by 0.1."""
+    with builder.loaded("PidDepthController") as (traced,):
+        write_firmware(traced, tmp_path, "cortex-m4", "float")
+        outputs = [f"{v.name} [{v.unit}]" for v in traced.block.of_causality("output")]
+    rows = [line.strip("| ").split(" | ") for line in (tmp_path / "README.md").read_text().splitlines()]
+    beside = {row[0]: float(row[2]) / float(row[1]) for row in rows if row[0] in outputs}
+    assert [*beside] == outputs
+    assert all(1e-9 < ratio < 1e-5 for ratio in beside.values())
+    assert not [*tmp_path.glob("beside*")]
 
 
 def test_without_gcc_and_qemu_the_table_has_no_instructions(

@@ -128,17 +128,27 @@ def test_what_cannot_be_imported_stops_no_other(command: Command) -> None:
     assert alone.stderr == line.replace("1 of 3 not built: bad.py: ", "") + "\n"
 
 
-def test_a_microcontroller_gets_a_folder_of_its_own(command: Command, refused: Command) -> None:
-    build = "build", "ThrustAllocation", "--platform"
-    files = command(*build, "cortex-m7").stdout.split()
-    folder = Path("fmus-built/cortex-m7/ThrustAllocation")
-    names = "ThrustAllocation.h", "ThrustAllocation.c", "example.c", "emulator.c", "libThrustAllocation.a"
-    assert files == [str(folder / name) for name in (*names, "README.md")]
+@pytest.mark.parametrize(
+    ("microcontroller", "programs"), [("cortex-m7", ["example.c", "emulator.c"]), ("riscv64", ["example.c"])]
+)
+def test_a_microcontroller_gets_a_folder_of_its_own(
+    command: Command, microcontroller: str, programs: list[str]
+) -> None:
+    files = command("build", "ThrustAllocation", "--platform", microcontroller).stdout.split()
+    folder = Path("fmus-built") / microcontroller / "ThrustAllocation"
+    names = "ThrustAllocation.h", "ThrustAllocation.c", *programs, "libThrustAllocation.a", "README.md"
+    assert files == [str(folder / name) for name in names]
+    assert {*files} == {*map(str, folder.iterdir())}
     # code of this block is some kB, and no frame of it is empty
     code, stack, *_ = re.findall(r"\| ([\d,]+) \|", (folder / "README.md").read_text())
     assert 1000 < int(code.replace(",", "")) < 10_000
     assert 100 < int(stack.replace(",", "")) < 2000
+
+
+def test_what_has_no_effect_on_a_microcontroller_or_without_one_is_refused(refused: Command) -> None:
+    build = "build", "ThrustAllocation", "--platform"
     assert "expected no other platform beside cortex-m7" in refused(*build, "linux64,cortex-m7")
+    assert "--float: expected --platform with one of cortex-m4" in refused(*build, "linux64", "--float")
     assert "--fmi: no effect with --platform cortex-m7" in refused(*build, "cortex-m7", "--fmi", "3")
     assert "--scalars: no effect with --platform cortex-m7" in refused(*build, "cortex-m7", "--scalars")
 
