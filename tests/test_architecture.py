@@ -90,6 +90,7 @@ LEVELS = {
     "fmus.compliance.rules": 5,
     "fmus.generate.builder": 5,
     "fmus.generate.policy": 5,
+    "fmus.firmware": 5,
     "fmus.prove": 6,
     "orchestration.errors": 5,
     "orchestration.system": 6,

@@ -1,7 +1,7 @@
 """Traced functions -> C in two dialects: for one instance, and for a group of instances.
 
-`firmware_code.py` has a third one, for microcontrollers. All write the same operations, a statement each. So
-their numbers are the same bit for bit.
+`fmus/firmware/code.py` has a third one, for microcontrollers. All write the same operations, a statement
+each. So their numbers are the same bit for bit.
 """
 
 import textwrap

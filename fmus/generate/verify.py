@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from fmus.block import Block
+from fmus.block.random_points import disturbed, drawn, is_limited, permitted
 from fmus.block.scalars import flatten, members, unflatten
 from fmus.errors import ExportError
 from fmus.generate.declare import scalar_names
 from fmus.generate.guard import NO_MEMORY, location, own_line
 from fmus.generate.native import ShippedLibrary
 from fmus.generate.operations import with_roundings
-from fmus.generate.random_points import disturbed, drawn, is_limited, permitted
 from fmus.generate.trace import Traced, trace
 from fmus.numerics import Clock
 from fmus.numerics.symbols import are_numbers, unsimplified

@@ -7,8 +7,8 @@ from typing import Any
 from fmus.block.instance import internal_steps
 from fmus.block.scalars import flatten
 from fmus.block.variables import BlockVariable
+from fmus.firmware.code import FirmwareC, firmware_sources
 from fmus.generate.c_code import CFunction
-from fmus.generate.firmware_code import FirmwareC, firmware_sources
 from fmus.generate.trace import Traced
 
 # of an input or a state without a range, and of the time [s]

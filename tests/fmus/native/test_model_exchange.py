@@ -17,11 +17,11 @@ from fmpy.validation import validate_fmu
 from scipy.linalg import expm
 
 from fmus.block import Block, NoValues, variable
+from fmus.block.random_points import drawn
 from fmus.block.scalars import flatten, unflatten
 from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.generate import builder
-from fmus.generate.random_points import drawn
 from fmus.registry import BLOCKS, installed
 from tests.shared_builds import Fmus, one_of_a_kind, slow_but
 

@@ -14,9 +14,9 @@ import pytest
 
 from fmus import numerics as n
 from fmus.block import Block, variable
+from fmus.block.random_points import drawn
 from fmus.block.scalars import flatten
 from fmus.generate.builder import load_block
-from fmus.generate.random_points import drawn
 from fmus.generate.trace import trace
 from fmus.platforms import instruction_sets
 from fmus.registry import block_names

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from fmus.errors import ExportError
-from fmus.generate.firmware_code import firmware_sources
+from fmus.firmware.code import firmware_sources
 from fmus.generate.trace import Traced
 from fmus.generate.verify import check_sampling, check_trace
 from fmus.native import toolchain

@@ -1,7 +1,7 @@
 """Traced block -> C for a microcontroller: header, equations, an example and programs that measure it.
 
-A third dialect of `c_code.py`: columns are structs with the names of the model description. It has no heap,
-no global state, no header of FMI, and one loop, over the internal steps of a step.
+A third dialect of `fmus/generate/c_code.py`: columns are structs with the names of the model description. It
+has no heap, no global state, no header of FMI, and one loop, over the internal steps of a step.
 """
 
 import re
@@ -140,7 +140,7 @@ def _members(variables: Sequence[BlockVariable]) -> Iterator[tuple[str, str]]:
 def firmware_sources(traced: Traced, number: str = "double") -> dict[str, str]:
     """Returns file name -> text: header, C file, an example, programs for a board and for a comparison."""
     block, dialect = traced.block, FirmwareC(traced, number)
-    native = resources.files("fmus") / "native"
+    files = resources.files("fmus")
     step, constants = c_functions(traced.step, "block_step", held=("h", "p", "c"), inputs="u")
     others = ("calculate", "requirements", "initial_state", "output")
     functions: list[CFunction] = [*step, *(c_function(getattr(traced, f), f"block_{f}") for f in others)]
@@ -159,11 +159,11 @@ def firmware_sources(traced: Traced, number: str = "double") -> dict[str, str]:
         "constants": constants + 1,
         "requirements": len(traced.required),
         "required": "".join(f" *   {i}: expected {text}\n" for i, text in enumerate(traced.required, 1)),
-        "elementary": (native / "elementary.h").read_text("utf-8"),
+        "elementary": (files / "native/elementary.h").read_text("utf-8"),
         "equations": "\n".join(map(dialect.function, functions)),
         "step_size": repr(float(block.step_size)),
     }
-    template = (native / "firmware.c.in").read_text("utf-8")
+    template = (files / "firmware/firmware.c.in").read_text("utf-8")
     parts = re.split(r"^//// (.+)\n", Template(template).substitute(values), flags=re.MULTILINE)[1:]
     return dict(zip(parts[::2], parts[1::2], strict=True))
 

@@ -14,15 +14,15 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 
 from fmus.errors import ExportError
+from fmus.firmware.code import firmware_sources
+from fmus.firmware.library import write_firmware
 from fmus.generate import builder
-from fmus.generate.firmware import write_firmware
-from fmus.generate.firmware_code import firmware_sources
 from fmus.native import toolchain
 from fmus.platforms import MICROCONTROLLERS
 from orchestration.scenarios import scenario
 from orchestration.system.signals import values_at
 
-HOW_TO = Path(__file__).parents[2] / "docs/how-to/microcontroller.md"
+HOW_TO = Path(__file__).parents[3] / "docs/how-to/microcontroller.md"
 H, STEPS = 0.02, 15_500
 BLOCKS = {"controller": "L1DepthController", "plant": "RovDepthPlant"}
 # outputs of one are inputs of the other
@@ -310,7 +310,7 @@ def test_an_emulator_that_does_not_end_is_an_error(tmp_path: Path, monkeypatch: 
         (tmp_path / tool).write_text(f"#!/bin/sh\n{work}\n")
         (tmp_path / tool).chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    monkeypatch.setattr("fmus.generate.firmware._PATIENCE_S", 1)
+    monkeypatch.setattr("fmus.firmware.library._PATIENCE_S", 1)
     expected = "ThrustAllocation: qemu-system-arm of example.c: expected an end in 1 s"
     with (
         builder.loaded("ThrustAllocation") as (traced,),
