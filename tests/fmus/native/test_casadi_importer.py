@@ -16,6 +16,8 @@ from fmus.generate.trace import trace
 from fmus.numerics import absolute, exp, sin
 from tests.shared_builds import Fmus
 
+pytestmark = pytest.mark.importers
+
 
 @dataclass(frozen=True)
 class Parameters:

@@ -92,7 +92,7 @@ def places(path: Path) -> dict[str, str]:
     return {v.get("name", ""): v.get("valueReference", "") for v in variables}
 
 
-@pytest.mark.parametrize("name", [*builder.block_names(), *WITH_EVENTS])
+@pytest.mark.parametrize("name", [*NAMES, *WITH_EVENTS])
 def test_a_value_reference_is_the_place_among_the_variables(fmi3_built: Fmus, name: str) -> None:
     """So is the reference of the time, and a derivative names its state by it."""
     found = places(fmi3_built[name])

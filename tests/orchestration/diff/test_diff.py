@@ -132,6 +132,7 @@ def test_a_file_that_is_no_fmu_is_wrong_use(tmp_path: Path) -> None:
     assert ended.value.code == 2
 
 
+@pytest.mark.slow
 def test_one_changed_gain_of_two_builds_is_said_in_a_line(
     built: Fmus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

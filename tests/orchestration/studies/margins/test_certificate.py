@@ -143,6 +143,7 @@ def test_drag_takes_a_little_of_the_sector_and_the_linear_loop_bears_more() -> N
     assert 0.95 * proved < with_drag < proved < linear < 1.2 * proved
 
 
+@pytest.mark.slow
 def test_a_nonlinear_p_is_inside_at_its_default_and_not_proved_at_its_least_threshold() -> None:
     """a / delta^(1 - alpha): 1 / 0.1^0.9 and 1 / 0.01^0.9."""
     nonlinear = {"augmentation": "nonlinear_p", "adaptation_gain": 1e5}
