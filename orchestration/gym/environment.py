@@ -161,8 +161,9 @@ class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
         return self._runs.run.recording()
 
     def close(self) -> None:
-        """Frees the FMUs."""
+        """Frees the FMUs, and ends the episode."""
         self._runs.engine.close()
+        self._done = None
 
 
 class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
@@ -280,7 +281,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
         return self._runs.recordings()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Frees the FMUs; `close` calls it.
+        """Frees the FMUs, and ends the episodes; `close` calls it.
 
         Parameters
         ----------
@@ -288,6 +289,7 @@ class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
             Ignored.
         """
         self._runs.close()
+        self._done = None
 
 
 def _spaces(plan: EpisodePlan) -> tuple[Box, Box]:

@@ -41,6 +41,7 @@ _ARRAYS = {
     3: "name[1..2] stands for the array name with two elements, m[1..2,1..2] for an array with two rows.",
 }
 _EXCHANGE = "<tr><td>Model exchange</td><td>{}</td></tr>"
+_PATHS = "<p>Paths that begin with docs/ are in the repository of l1-depth.</p>"
 _BUILDING = """<li>For another platform compile sources/{file} with the importer's headers of FMI {fmi}.0;
 FMI{fmi}_OVERRIDE_FUNCTION_PREFIX makes them export the names of FMI:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
@@ -83,6 +84,8 @@ def documentation(
         "stimuli": _stimuli(block),
         "sources": _list(map(_source, block.guide.sources)),
     }
+    is_path_named = any("docs/" in text for text in map(str, values.values()))
+    values["paths"] = _PATHS if is_path_named else ""
     return {
         f"documentation/{file}": Template((templates / template).read_text("utf-8"))
         .substitute(values)

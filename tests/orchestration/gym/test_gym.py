@@ -314,16 +314,25 @@ def test_an_action_of_another_type_than_real_is_refused(linear: Build, task: Tas
         FmuEnv(discrete)
 
 
-def test_an_environment_is_refused_until_its_first_reset(env: FmuEnv, envs: FmuVectorEnv) -> None:
+def test_an_environment_is_refused_until_its_first_reset_and_from_its_end_on(
+    env: FmuEnv, envs: FmuVectorEnv
+) -> None:
     steps = (lambda: env.step(np.zeros(1)), lambda: envs.step(np.zeros((2, 1))))
     calls: tuple[Any, ...] = (*steps, env.recording, envs.recordings)
-    for call in calls:
-        with pytest.raises(gymnasium.error.ResetNeeded, match=r"no episode has begun: expected reset\(\) f"):
-            call()
+
+    def are_refused() -> None:
+        for call in calls:
+            with pytest.raises(gymnasium.error.ResetNeeded, match=r"no episode has begun: expected reset"):
+                call()
+
+    are_refused()
     env.reset()
     envs.reset()
     for call in calls:
         call()
+    env.close()
+    envs.close()
+    are_refused()
 
 
 @pytest.mark.parametrize("action", [0.5, [[0.5]], [0.5, 0.5], []])

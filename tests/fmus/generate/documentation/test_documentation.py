@@ -175,3 +175,10 @@ def test_the_page_names_the_interfaces_that_the_archive_has(built: Fmus, python_
             page = archive.read("documentation/index.html").decode()
         assert f"An FMU of FMI 2.0 for {text}, made by" in page
         assert ("<ModelExchange" in description) == ("model exchange" in text)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_path_of_the_repository_is_explained_where_one_stands(name: str) -> None:
+    page = text_of(builder.load_block(name))
+    explained, _, sentence = page.partition("<p>Paths that begin with docs/")
+    assert ("docs/" in explained) is bool(sentence)
