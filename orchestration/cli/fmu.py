@@ -191,8 +191,8 @@ def build(
 
 def _write_firmware(names: Sequence[str], folder: Path, microcontroller: str, number: str) -> None:
     """Writes the folder of each block for a microcontroller, and prints its files."""
-    from fmus.generate.builder import loaded
     from fmus.firmware.library import write_firmware
+    from fmus.generate.builder import loaded
 
     for name in names:
         with loaded(name) as blocks:
