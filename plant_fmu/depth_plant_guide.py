@@ -28,7 +28,7 @@ sensor     m_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise xi_k) at t_k = 
     ),
     tuning=(
         "For another vehicle, set weight, net_weight, waterplane_area and inertia (with the added mass of its"
-        " size), then linear_damping and quadratic_damping from a descent at constant thrust.",
+        " size), then linear_damping and quadratic_damping from descents at several constant thrusts.",
         "A thruster has thruster_gain K, thruster_dead_zone v_0, thruster_voltage_limit v_max and"
         " thruster_lag. thruster_ideal keeps only gain and efficiency.",
         "Further effects are off at the start values: thruster_reverse_ratio r, for negative voltages;"
@@ -37,13 +37,13 @@ sensor     m_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise xi_k) at t_k = 
         " propeller draws no air, with thruster_depth d_t below the vehicle's top.",
         "For a measured thruster, set thruster_tabulated, thruster_table_voltage, thruster_table_force and"
         " thruster_scale n, the number of thrusters. The force is linear between the points. For a shorter"
-        " table, put the unused points on its lines. The start values describe a T200, far too strong for"
+        " table, put unused points on its segments. The start values describe a T200, far too strong for"
         " this vehicle.",
         "sensor_ideal reports the depth, with the pressure head of waves, at every instant. Otherwise period,"
         " noise, bias, drift, resolution and delay act. One sensor_seed gives one sequence of noise, on every"
         " platform.",
         "Faults and surroundings are inputs: thruster_efficiency (1 healthy, 0 dead), external_force,"
-        " buoyancy_change, current_velocity, and three of waves, from the block WaveSource.",
+        " buoyancy_change, current_velocity, and three wave inputs, from WaveSource.",
     ),
     limits=(
         "The vehicle moves in heave only; roll and pitch are inputs.",
@@ -52,8 +52,8 @@ sensor     m_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise xi_k) at t_k = 
         "The vehicle's sides are vertical at the surface. There is no bottom and no tether.",
         "Waves act by linear theory on a small submerged body. The surface stays level where the vehicle"
         " emerges. Forces of second order, such as the mean pull towards the surface, are left out.",
-        "At the surface, buoyancy is a spring of 218 N/m under 5.5 kg (6.3 rad/s). The delays of observer and"
-        " thrusters in a loop keep the vehicle oscillating there.",
+        "At the surface, buoyancy is a spring of 218 N/m under 5.5 kg (6.3 rad/s). In a loop, delays of the"
+        " controller's observer and of the thrusters sustain an oscillation there.",
         "The controllers of l1-depth assume a thrust proportional to the voltage, with their own gain and"
         " voltage limit, or invert their own table. They ignore other effects of the thrusters.",
         "The loss of thrust at the surface is linear in the propeller's depth. It does not depend on the load"

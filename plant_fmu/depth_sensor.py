@@ -38,7 +38,7 @@ class SensorParameters:
         min=1e-4,
         max=10.0,
         variability="fixed",
-        source="proxy: a Bar30 reads in up to 40 ms; not the paper's sensor",
+        source="proxy: the pressure sensor Bar30, up to 40 ms; not the paper's",
     )
     sensor_noise: float = variable(
         0.001,

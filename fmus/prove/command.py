@@ -37,7 +37,7 @@ def prove(
     Frama-C's Eva (Debian's frama-c-base) analyses the C of the block: the initial state, one internal step
     and the outputs, from every Real input and state of ranges, which --assumptions prints. Inputs of other
     types have their start values, and so have parameters without --parameters; the step has the suggested
-    size. --assumptions names the states that stay in their ranges: in a step, or for all time. ESBMC (extra
+    size. --assumptions names the states that stay in their ranges: in a step, or to 1,000,000 s. ESBMC (extra
     prove) checks the bounds of all accesses of one internal step. A number that is not finite is an alarm
     also where no result takes it.
 
@@ -73,7 +73,7 @@ def prove(
                     fixed = (v.name for v in traced.block.of_causality("parameter") if v.name not in free)
                     print(f"    {len(free)} parameters in their ranges; fixed: {', '.join(fixed)}")
                 if assumptions:
-                    print(f"    stay for all time: {', '.join(result.lasting) or 'none'}")
+                    print(f"    stay in every step: {', '.join(result.lasting) or 'none'}")
                     print(f"    stay in a step: {', '.join(result.staying) or 'none'}")
                 if out:
                     repeat = f"{Path(name).name}{' --parameters' if parameters else ''}"

@@ -14,6 +14,7 @@ from fmus.generate.c_code import c_function
 from fmus.generate.operations import places_of
 from fmus.generate.trace import Traced
 from fmus.prove.harness import (
+    LARGEST_TIME,
     REACHED,
     STAYS,
     Interval,
@@ -46,7 +47,7 @@ class Alarm:
 class Proof:
     """The result for one block.
 
-    staying: the states that a step from the ranges leaves in theirs; lasting: those that stay for all time
+    staying: the states that a step from the ranges leaves in theirs; lasting: those that stay in every step
     code: the C file that was analysed; seconds: wall time of Eva
     """
 
@@ -66,10 +67,10 @@ class Proof:
         if self.alarms:
             return f"{len(self.alarms)} alarms"
         if len(self.lasting) == len(self.states):
-            return "proved for all time"
+            return f"proved to {LARGEST_TIME:,.0f} s"
         return (
             f"proved for one step; {len(self.staying)} of {len(self.states)} states stay in their ranges, "
-            f"{len(self.lasting)} of them for all time"
+            f"{len(self.lasting)} of them to {LARGEST_TIME:,.0f} s"
         )
 
 

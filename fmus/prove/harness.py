@@ -134,7 +134,7 @@ def _stays(box: Interval) -> str:
 
 
 def lasting(traced: Traced, staying: Collection[str]) -> list[str]:
-    """Returns the states that stay in their ranges for all time: those that they follow from stay, too.
+    """Returns the states that stay in their ranges in every step: those that they follow from stay, too.
 
     staying: the states that a step from the ranges leaves in theirs
     """

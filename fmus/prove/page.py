@@ -43,7 +43,7 @@ def add_page(fmu: Path, result: Proof, bounds: str, command: str) -> None:
     rows = [("Frama-C's Eva", result.verdict), ("ESBMC", bounds)]
     rows += [(alarm.kind, f"{alarm.expression} {alarm.line}") for alarm in result.alarms]
     for box in (*result.inputs, *result.states, *result.parameters):
-        stays = ", stays in it for all time" if box.name in result.lasting else ""
+        stays = ", stays in it in every step" if box.name in result.lasting else ""
         rows.append((box.name, f"assumed {range_text(box.low, box.high)}, {box.reason}{stays}"))
     page = _PAGE.format(name=result.name, command=escape(command), rows="\n".join(map(_row, rows)))
     with zipfile.ZipFile(fmu) as archive:

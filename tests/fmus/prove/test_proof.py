@@ -240,7 +240,7 @@ def test_a_state_that_a_step_leaves_in_its_range_stays_for_all_time(
     proved = prove(result)
     assert not proved.alarms
     assert ("ratio" in proved.lasting) == ("ratio" in proved.staying) == is_staying
-    assert (proved.verdict == "proved for all time") == is_staying
+    assert (proved.verdict == "proved to 1,000,000 s") == is_staying
 
 
 @pytest.mark.cross
