@@ -69,7 +69,7 @@ class FirmwareC(ScalarC):
         }
         self.members["next"], self.types["next"] = self.members["x"], self.types["x"]
         self._names = {column: [*members] for column, members in self.members.items()}
-        self._doubles: list[bool] = []
+        self._doubles, self._narrows = list[bool](), False
 
     def function(self, f: CFunction) -> str:
         self._doubles = self._doubles_of(f.operations)
@@ -98,11 +98,18 @@ class FirmwareC(ScalarC):
         return f"{self.number} h" if name == "h" else super()._argument(name)
 
     def _statement(self, f: CFunction, number: int) -> str:
-        text = super()._statement(f, number)
         if self.number == "double":
-            return text
-        is_double = any(self._doubles[i] for i in (number, *f.operations[number].arguments))
-        return text if is_double else _DOUBLE.sub(_single, text)
+            return super()._statement(f, number)
+        operation = f.operations[number]
+        compares = operation.name in _CONDITIONS and any(self._doubles[i] for i in operation.arguments)
+        # doubles are made floats before a sum or a product with floats, not after it
+        self._narrows = not (self._doubles[number] or compares)
+        text = super()._statement(f, number)
+        return _DOUBLE.sub(_single, text) if self._narrows else text
+
+    def _term(self, f: CFunction, number: int) -> str:
+        text = super()._term(f, number)
+        return f"({self.number}){text}" if self._narrows and self._doubles[number] else text
 
     def _column(self, name: str) -> str:
         kind = _STRUCTS.get(name)

@@ -269,7 +269,7 @@ def test_the_how_to_leads_to_a_light_that_blinks_and_the_table_has_the_instructi
 
 
 @pytest.mark.cross
-def test_a_cortex_m4_takes_ten_times_the_instructions_for_doubles_and_a_fifth_of_them_for_floats(
+def test_a_cortex_m4_takes_ten_times_the_instructions_for_doubles_and_a_seventh_of_them_for_floats(
     tmp_path: Path,
 ) -> None:
     """Each of some 1,000 operations of doubles is a call of 10 to 40 instructions."""
@@ -281,7 +281,7 @@ def test_a_cortex_m4_takes_ten_times_the_instructions_for_doubles_and_a_fifth_of
             table = (folder / "README.md").read_text().replace(",", "")
             instructions.append(int(re.findall(r"(\d+) \|$", table, re.MULTILINE)[3]))
     assert 10 < instructions[1] / instructions[0] < 40
-    assert 4 < instructions[1] / instructions[2] < 6
+    assert 6 < instructions[1] / instructions[2] < 8
 
 
 def test_floats_have_their_differences_from_doubles_in_the_table_after_a_day_too(tmp_path: Path) -> None:
