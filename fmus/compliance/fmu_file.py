@@ -267,8 +267,8 @@ class FmuFile:
         return [category.get("name", "") for category in self.root.iterfind("LogCategories/Category")]
 
     def vector_length(self, function: str) -> int:
-        """Returns the number of elements that a function of model exchange gives."""
-        if function == "fmi2GetEventIndicators":
+        """Returns the number of elements that a function of model exchange gives, or that it counts."""
+        if function.endswith("EventIndicators"):
             return integer(self.root.get("numberOfEventIndicators")) or 0
         return len(self.unknowns["Derivatives"])
 

@@ -34,16 +34,18 @@ _OF_INTERFACE = {
     CO_SIMULATION: "DoStep EnterStepMode",
     MODEL_EXCHANGE: "EnterContinuousTimeMode SetTime CompletedIntegratorStep "
     "GetContinuousStates SetContinuousStates GetContinuousStateDerivatives GetEventIndicators "
-    "GetNominalsOfContinuousStates",
+    "GetNominalsOfContinuousStates GetNumberOfContinuousStates GetNumberOfEventIndicators",
 }
 _UNUSED = {  # functions that runs do without
-    CO_SIMULATION: "SetDebugLogging EnterEventMode UpdateDiscreteStates EnterStepMode",
-    MODEL_EXCHANGE: "SetDebugLogging",
+    CO_SIMULATION: "SetDebugLogging GetDirectionalDerivative EnterEventMode UpdateDiscreteStates"
+    " EnterStepMode",
+    MODEL_EXCHANGE: "SetDebugLogging GetDirectionalDerivative GetNumberOfContinuousStates"
+    " GetNumberOfEventIndicators",
 }
 _COMMON = (
     "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset GetFMUState SetFMUState"
     " FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState SetDebugLogging"
-    " EnterEventMode UpdateDiscreteStates"
+    " EnterEventMode UpdateDiscreteStates GetDirectionalDerivative"
 )
 # in the order of `Functions` of the source
 _FUNCTIONS = (

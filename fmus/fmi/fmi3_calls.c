@@ -48,9 +48,10 @@ typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *ref
 #define FUNCTIONS(X)                                                                                            \
     X(FreeInstance) X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetFMUState)   \
     X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState)        \
-    X(SetDebugLogging) X(EnterEventMode) X(UpdateDiscreteStates) X(DoStep) X(EnterStepMode)                     \
-    X(EnterContinuousTimeMode) X(SetTime) X(CompletedIntegratorStep) X(GetContinuousStates)                     \
-    X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetEventIndicators) X(GetNominalsOfContinuousStates)
+    X(SetDebugLogging) X(EnterEventMode) X(UpdateDiscreteStates) X(GetDirectionalDerivative) X(DoStep)          \
+    X(EnterStepMode) X(EnterContinuousTimeMode) X(SetTime) X(CompletedIntegratorStep) X(GetContinuousStates)    \
+    X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetEventIndicators) X(GetNominalsOfContinuousStates) \
+    X(GetNumberOfContinuousStates) X(GetNumberOfEventIndicators)
 #define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
     FUNCTIONS(MEMBER) /* NULL for functions of the other interface */
@@ -230,6 +231,47 @@ EXCHANGES(Real, REAL, double)
 EXCHANGES(Integer, INTEGER, int)
 EXCHANGES(Boolean, INTEGER, int)
 EXCHANGES(String, TEXT, fmi3String)
+
+/* Returns the number of arrays that hold some scalars, each once; `places`: of the scalars among their values. */
+static size_t arrays_of(const Instance *a, const uint32_t numbers[], size_t n, fmi3ValueReference references[],
+                        size_t places[], size_t *size) {
+    size_t count = 0;
+    *size = 0;
+    for (size_t i = 0, j; i < n; i++) {
+        const Element *e = a->elements + numbers[i];
+        for (j = 0; a->elements[numbers[j]].first != e->first; j++) continue;
+        if (j == i) {
+            references[count++] = (fmi3ValueReference)e->reference;
+            places[i] = *size + numbers[i] - (size_t)e->first;
+            *size += (size_t)e->size;
+        } else
+            places[i] = places[j] + numbers[i] - numbers[j];
+    }
+    return count;
+}
+
+/* 2.2.11: seeds and results are those of whole arrays. */
+EXPORT int fmi2GetDirectionalDerivative(Instance *a, const uint32_t unknowns[], size_t n, const uint32_t knowns[],
+                                        size_t m, const double seed[], double derivatives[]) {
+    fmi3ValueReference *references = calloc(n + m + 1, sizeof *references);
+    size_t *places = calloc(n + m + 1, sizeof *places);
+    double *seeds = calloc(a->n_elements + 1, sizeof *seeds), *results = a->values;
+    fmi3Status status = fmi3Error;
+    if (references && places && seeds) {
+        size_t size, n_seeds;
+        const size_t n_unknowns = arrays_of(a, unknowns, n, references, places, &size);
+        const size_t n_knowns = arrays_of(a, knowns, m, references + n, places + n, &n_seeds);
+        for (size_t i = 0; i < m; i++) seeds[places[n + i]] = seed[i];
+        for (size_t i = 0; i < size; i++) results[i] = NAN;
+        status = a->call->GetDirectionalDerivative(a->instance, references, n_unknowns, references + n, n_knowns,
+                                                   seeds, n_seeds, results, size);
+        for (size_t i = 0; i < n; i++) derivatives[i] = results[places[i]];
+    }
+    free(references);
+    free(places);
+    free(seeds);
+    return noted(a, status, "fmi3GetDirectionalDerivative");
+}
 
 /* Modes and steps */
 
@@ -417,6 +459,8 @@ VECTOR(GetContinuousStates, GetContinuousStates)
 VECTOR(GetDerivatives, GetContinuousStateDerivatives)
 VECTOR(GetEventIndicators, GetEventIndicators)
 VECTOR(GetNominalsOfContinuousStates, GetNominalsOfContinuousStates)
+SAME(GetNumberOfContinuousStates, GetNumberOfContinuousStates, (Instance * a, size_t *n), (a->instance, n))
+SAME(GetNumberOfEventIndicators, GetNumberOfEventIndicators, (Instance * a, size_t *n), (a->instance, n))
 
 EXPORT int fmi2CompletedIntegratorStep(Instance *a, int is_final, int *enters_event_mode, int *terminates) {
     fmi3Boolean enters = fmi3False, ends = fmi3False;

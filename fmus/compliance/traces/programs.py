@@ -17,7 +17,7 @@ from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, status_name
 _MOST_LINES = 40  # of a trace in a report
 _MOST_STEPS = 3  # in succession
 _STATES = 8  # saved states of a program
-_READS = "fmi2Get"
+_READS, _COUNTS = "fmi2Get", "fmi2GetNumberOf"
 _SERIALISES = "fmi2SerializeFMUstate"
 _VECTORS = "Derivatives", "EventIndicators", "ContinuousStates", "NominalsOfContinuousStates"
 
@@ -151,6 +151,8 @@ def _c_lines(call: Call) -> Iterator[str]:
         yield f'printf("    {form}\\n", {buffer}[{i}]);'
     if call.function == "fmi2SerializedFMUstateSize":
         yield "bytes = malloc(size);"
+    if call.function.startswith(_COUNTS):
+        yield 'printf("    %zu\\n", size);'
 
 
 def _place_of_results(call: Call) -> int | None:
@@ -296,6 +298,7 @@ _FMPY_LINES = {
     "fmi2SetContinuousStates": "{fmu}.setContinuousStates((c_double * {1})(*{0}), {1})",
     "fmi2NewDiscreteStates": "print({fmu}.newDiscreteStates())",
     "fmi2CompletedIntegratorStep": "print({fmu}.completedIntegratorStep({0}))",
+    **{f"{_COUNTS}{kind}": f"print({{fmu}}.getNumberOf{kind}())" for kind in _VECTORS[1:3]},
     **{f"fmi2Get{kind}Status": f"print({{fmu}}.get{kind}Status({{0}}))" for kind in ("", *KINDS)},
     **{f"fmi2Set{kind}": f"{{fmu}}.set{kind}({{0}}, {{2}})" for kind in KINDS},
     **{f"fmi2Get{kind}": f"print({{fmu}}.get{kind}({{0}}))" for kind in KINDS},
