@@ -31,7 +31,7 @@ typedef struct {
 } Data;
 typedef struct {
     Data d;
-    bool logging, is_exchange, uses_events, may_return;
+    bool logging[2], is_exchange, uses_events, may_return;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
     fmi3IntermediateUpdateCallback update;
@@ -54,9 +54,10 @@ static char mutation[100];
 static int alive; /* instances */
 #define IS(n) (!strcmp(mutation, n))
 
+static const char *const CATEGORIES[] = {"logStatusError", "logEvents"};
 static void say(Model *m, fmi3Status status, const char *text) {
-    const char *category = IS("an undeclared category") ? "logAnything" : "logStatusError";
-    if (m->logging && !IS("silent refusals")) m->log(m->environment, status, category, text);
+    const char *category = IS("an undeclared category") ? "logAnything" : CATEGORIES[status == fmi3OK];
+    if (m->logging[status == fmi3OK] && !IS("silent refusals")) m->log(m->environment, status, category, text);
 }
 static fmi3Status error(Model *m, const char *text) {
     say(m, fmi3Error, text);
@@ -94,7 +95,7 @@ static fmi3Instance create(fmi3String name, fmi3String token, fmi3String path, b
         mutation[strcspn(mutation, "\n")] = 0;
         fclose(stream);
     }
-    m->logging = logging || IS("logs although logging is off");
+    m->logging[0] = m->logging[1] = logging || IS("logs although logging is off");
     m->environment = environment;
     m->log = log;
     initialise(&m->d);
@@ -132,8 +133,15 @@ void fmi3FreeInstance(fmi3Instance instance) {
 }
 const char *fmi3GetVersion(void) { return "3.0"; }
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-    (void)n, (void)categories;
-    ((Model *)instance)->logging = on || IS("logs although logging is off");
+    bool *logging = ((Model *)instance)->logging;
+    if (IS("logs although logging is off")) return fmi3OK;
+    if (n && IS("all categories are chosen together")) n = 0;
+    if (IS("one category ends all others") && !on) n = 0;
+    for (int i = 0; i < 2; i++) {
+        if (!n) logging[i] = on;
+        for (size_t k = 0; k < n; k++)
+            if (!strcmp(categories[k], CATEGORIES[i])) logging[i] = on;
+    }
     return fmi3OK;
 }
 
@@ -188,7 +196,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean has_to
     NEED(INSTANTIATED);
     (void)has_tolerance, (void)tolerance;
     d->stop = has_stop ? stop + 1e-9 * fabs(stop) : INFINITY;
-    if (IS("logs although logging is off")) say(instance, fmi3OK, "initialised");
+    say(instance, fmi3OK, "initialised");
     d->time = d->start = start;
     d->mode = INITIALIZATION;
     return fmi3OK;
