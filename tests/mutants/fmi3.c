@@ -24,7 +24,7 @@ typedef struct {
     int64_t mode_of_enum;
     int32_t n, first_n;
     int16_t offset;
-    bool is_on;
+    bool is_on, is_moved;
     char label[100];
     float y[2];
     int mode;
@@ -342,8 +342,21 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueRe
             *results++ = unknowns[i] == 8 ? by_gain * d->x + d->gains[j] * x : by_gain * d->u + d->gains[j] * u;
         }
     }
-    if (d->mode == STEP && IS("a directional derivative moves the state")) go_to(&((Model *)instance)->d, d->time + 0.001);
+    if (d->mode == STEP && !d->is_moved && IS("a directional derivative moves the state")) {
+        go_to(&((Model *)instance)->d, d->time + 0.001);
+        ((Model *)instance)->d.is_moved = true;
+    }
     return results == end ? fmi3OK : error(instance, "another number of values");
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t n, const fmi3ValueReference knowns[], size_t m, const fmi3Float64 seed[], size_t n_seed, fmi3Float64 results[], size_t n_results) {
+    for (size_t k = 0; k < n_results; k++) {
+        double unit[10] = {0}, derivatives[10] = {0};
+        unit[k] = IS("adjoint derivatives have the other sign") ? -1 : 1;
+        if (fmi3GetDirectionalDerivative(instance, unknowns, n, knowns, m, unit, n_results, derivatives, n_seed)) return fmi3Error;
+        for (size_t i = results[k] = 0; i < n_seed; i++) results[k] += seed[i] * derivatives[i];
+    }
+    return fmi3OK;
 }
 
 /* States */
@@ -392,7 +405,6 @@ STUB(GetClock, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, f
 STUB(SetClock, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, const fmi3Clock x[]))
 STUB(GetNumberOfVariableDependencies, (fmi3Instance instance, fmi3ValueReference r, size_t *n))
 STUB(GetVariableDependencies, (fmi3Instance instance, fmi3ValueReference r, size_t a[], fmi3ValueReference b[], size_t c[], fmi3DependencyKind k[], size_t n))
-STUB(GetAdjointDerivative, (fmi3Instance instance, const fmi3ValueReference u[], size_t a, const fmi3ValueReference k[], size_t b, const fmi3Float64 s[], size_t c, fmi3Float64 x[], size_t d))
 STUB(GetIntervalDecimal, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3Float64 x[], fmi3IntervalQualifier q[]))
 STUB(GetIntervalFraction, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 s[], fmi3IntervalQualifier q[]))
 STUB(GetShiftDecimal, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3Float64 x[]))

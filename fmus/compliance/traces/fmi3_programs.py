@@ -21,7 +21,7 @@ _EXIT, _UPDATE, _COMPLETED = (
     "fmi2NewDiscreteStates",
     "fmi2CompletedIntegratorStep",
 )
-_DERIVATIVE = "fmi2GetDirectionalDerivative"
+DERIVATIVE = "fmi2GetDirectionalDerivative"
 _OF_NO_VARIABLE = {"Real": "Float64", "String": "String"}  # of other kinds: Int32
 _NOT_SET_UP = 0, 0.0, 0.0, 0, 0.0
 _SAME = {
@@ -101,7 +101,7 @@ def fmpy_line(call: Call, fmu: FmuFile, usual: str) -> str:
         return f"step({instance}, {t!r}, {h!r}, {bool(no_going_back)})"
     if function == _EXIT and fmu.uses & EVENT_MODE:
         return f"{instance}.exitInitializationMode()\nhandle_event({instance})"
-    if function == _DERIVATIVE:
+    if function == DERIVATIVE:
         shown = ", ".join(map(str, _derivative(call, fmu)))
         return f"print({instance}.getDirectionalDerivative({shown}))"
     if function[7:] in KINDS:
@@ -150,7 +150,7 @@ def c_lines(call: Call, fmu: FmuFile, usual: Sequence[str]) -> Sequence[str]:
         return [f"{_HELPERS[function]}({', '.join([instance, *numbers])});"]
     if function == _EXIT and fmu.uses & EVENT_MODE:
         return [*map(names_of_fmi3, usual), f"handle_event({instance});"]
-    if function == _DERIVATIVE:
+    if function == DERIVATIVE:
         *some, count = _derivative(call, fmu)
         kinds = "fmi3ValueReference", "fmi3ValueReference", "fmi3Float64"
         arrays = (f"({kind}[]){{{str(x)[1:-1]}}}, {len(x)}" for kind, x in zip(kinds, some, strict=True))

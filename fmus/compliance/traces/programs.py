@@ -77,6 +77,10 @@ def _line(call: Call, names: dict[tuple[str, int | None], str], uses: int) -> st
             return f"{call.function}({', '.join(shown)}) is {str(values)[1:-1]}{status}"
         pairs = (f"{name} = {value!r}" for name, value in zip(shown, values, strict=True))
         return f"{call.function}({', '.join(pairs)}){status}"
+    if call.function == fmi3_programs.DERIVATIVE:
+        (_, unknowns), _, (_, knowns), _, (_, seed), (_, values) = call.arguments
+        of, by = (", ".join(str(names.get(("Real", r), r)) for r in some) for some in (unknowns, knowns))
+        return f"{call.function}(of {of} by {by}, seed {seed}) is {values}{status}"
     place = _place_of_results(call)
     shown = ", ".join(_text(x) for i, x in enumerate(call.arguments) if i != place)
     told = "" if place is None else f" is {call.arguments[place][1]}"
