@@ -182,20 +182,6 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
 ))  # fmt: skip
 
 
-def _counts(probe: Probe) -> list[Reply]:
-    """Returns replies with the numbers of states and of event indicators, at first and in event mode."""
-    ask = [do.call("count", f"fmi2GetNumberOf{what}") for what in ("ContinuousStates", "EventIndicators")]
-    script = do.played(probe, [*ask, do.begin, *ask], logging=True)
-    return [reply for reply in script.replies if reply.function.startswith("fmi2GetNumberOf") and reply.ok]
-
-
-add_rows(__name__, Stage.BEHAVIOUR, interface=MODEL_EXCHANGE, rows=(
-    row("counts-are-as-described", _counts,
-        (lambda reply, probe: reply.value != (n := probe.fmu.vector_length(reply.function)) and f"{n}",
-         "{function} gives {subject.value}: expected {value}, as in the description")),
-))  # fmt: skip
-
-
 @behaviour_rule("")
 def clocks_have_partitions(probe: Probe) -> None:
     """Clocks are not judged."""
@@ -213,3 +199,17 @@ def steps_with_events(probe: Probe) -> None:
     for trace in traces(probe):
         for uses in dict.fromkeys((mode, mode | EARLY_RETURN)):
             probe.script(*trace.whole(), logging=True, uses=EXAMINED | uses).play()
+
+
+def _counts(probe: Probe) -> list[Reply]:
+    """Returns replies with the numbers of states and of event indicators, at first and in event mode."""
+    ask = [do.call("count", f"fmi2GetNumberOf{what}") for what in ("ContinuousStates", "EventIndicators")]
+    script = do.played(probe, [*ask, do.begin, *ask], logging=True)
+    return [reply for reply in script.replies if reply.function.startswith("fmi2GetNumberOf") and reply.ok]
+
+
+add_rows(__name__, Stage.BEHAVIOUR, interface=MODEL_EXCHANGE, rows=(
+    row("counts-are-as-described", _counts,
+        (lambda reply, probe: reply.value != (n := probe.fmu.vector_length(reply.function)) and f"{n}",
+         "{function} gives {subject.value}: expected {value}, as in the description")),
+))  # fmt: skip
