@@ -175,13 +175,13 @@ def read_bytes(script: Script, source: Script) -> None:
 
 
 @_action
-def set_up(script: Script, stop: int | None, tolerance: float | None = None, start: int = 0) -> None:
+def set_up(script: Script, stop: float | None, tolerance: float | None = None, start: int = 0) -> None:
     """Sets the experiment up, from communication point number `start` to number `stop`, if one is defined."""
     end = None if stop is None else script.probe.point(stop)
     script.call("set_up_experiment", script.probe.point(start), end, tolerance)
 
 
-def begin_until(stop: int, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
+def begin_until(stop: float, tolerance: float | None = None, start: int = 0) -> tuple[Action, ...]:
     """Initialises, with arguments as in `set_up`."""
     return set_up(stop, tolerance, start), enter_initialization_mode, exit_initialization_mode
 

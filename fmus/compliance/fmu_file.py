@@ -13,7 +13,7 @@ from fmus.compliance.traces.fmi3_view import FLAGS, LISTS, as_fmi2
 from fmus.compliance.variable import Unknown, Variable, Variable3, integer, is_true
 from fmus.extras import require
 from fmus.files import too_large
-from fmus.fmi.binding import EVENT_MODE, EXAMINED, library_member, platform_name
+from fmus.fmi.binding import ADJOINT, EVENT_MODE, EXAMINED, library_member, platform_name
 from fmus.fmi.model_description import Element
 from fmus.fmi.variable_types import TYPES
 from fmus.platforms import FMPY
@@ -141,6 +141,7 @@ class FmuFile:
                 fmu.description_problem = str(error)
             fmu.has_clocks = any(v.kind == "Clock" for v in self.variables)
             fmu.uses = EXAMINED | (EVENT_MODE if fmu.has_clocks and fmu.claims("hasEventMode") else 0)
+            fmu.uses |= ADJOINT if fmu.claims("providesAdjointDerivatives") else 0
         return fmu
 
     @property
@@ -267,8 +268,8 @@ class FmuFile:
         return [category.get("name", "") for category in self.root.iterfind("LogCategories/Category")]
 
     def vector_length(self, function: str) -> int:
-        """Returns the number of elements that a function of model exchange gives."""
-        if function == "fmi2GetEventIndicators":
+        """Returns the number of elements that a function of model exchange gives, or that it counts."""
+        if function.endswith("EventIndicators"):
             return integer(self.root.get("numberOfEventIndicators")) or 0
         return len(self.unknowns["Derivatives"])
 

@@ -71,6 +71,12 @@ class CalledModelExchange(CalledInstance):
         count = self._counts[function == _INDICATORS]
         return self.results(ctypes.c_double, count, lambda array: self.call(function, array, count))
 
+    def count(self, function: str) -> int:
+        """Returns a number that FMI 3.0 has a function for."""
+        size = ctypes.c_size_t()
+        self.call(function, ctypes.byref(size))
+        return size.value
+
     def new_discrete_states(self) -> dict[str, Any]:
         """Returns the elements of fmi2EventInfo by name."""
         info = EventInfo(*[_NO_BOOLEAN] * 5)

@@ -134,10 +134,14 @@ class Variable:
             return value if value is None else self.held(value)
         return int(value) if is_integer_of_fmi(value) else None
 
+    @property
+    def is_single(self) -> bool:
+        """Whether FMI 3.0 transfers it in single precision."""
+        return self.typed.get("single") == "true"
+
     def held(self, value: float) -> float:
         """Returns a value as FMI 3.0 transfers it: in single or double precision."""
-        is_single = self.typed.get("single") == "true"
-        return struct.unpack("f", struct.pack("f", value))[0] if is_single else value
+        return struct.unpack("f", struct.pack("f", value))[0] if self.is_single else value
 
     def allows(self, value: float) -> bool:
         """Whether a number is in its range, and an item of its enumeration."""

@@ -29,7 +29,7 @@ ELEMENTS = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.
 _FALSE, _TRUE = 0, 1
 MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 # uses of an instance of FMI 3.0, as in fmi3_calls.c
-EXAMINED, EVENT_MODE, EARLY_RETURN = 1, 2, 4
+EXAMINED, EVENT_MODE, EARLY_RETURN, ADJOINT = 1, 2, 4, 8
 
 
 def element_type(transfer_type: str) -> Any:

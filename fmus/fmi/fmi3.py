@@ -18,7 +18,6 @@ from fmus.fmi.binding import (
     CO_SIMULATION,
     EARLY_RETURN,
     EVENT_MODE,
-    EXAMINED,
     MODEL_EXCHANGE,
     Library,
     declare,
@@ -34,16 +33,17 @@ _OF_INTERFACE = {
     CO_SIMULATION: "DoStep EnterStepMode",
     MODEL_EXCHANGE: "EnterContinuousTimeMode SetTime CompletedIntegratorStep "
     "GetContinuousStates SetContinuousStates GetContinuousStateDerivatives GetEventIndicators "
-    "GetNominalsOfContinuousStates",
+    "GetNominalsOfContinuousStates GetNumberOfContinuousStates GetNumberOfEventIndicators",
 }
+_DERIVATIVES = "GetDirectionalDerivative GetAdjointDerivative"
 _UNUSED = {  # functions that runs do without
-    CO_SIMULATION: "SetDebugLogging EnterEventMode UpdateDiscreteStates EnterStepMode",
-    MODEL_EXCHANGE: "SetDebugLogging",
+    CO_SIMULATION: f"SetDebugLogging EnterEventMode UpdateDiscreteStates EnterStepMode {_DERIVATIVES}",
+    MODEL_EXCHANGE: f"SetDebugLogging GetNumberOfContinuousStates GetNumberOfEventIndicators {_DERIVATIVES}",
 }
 _COMMON = (
     "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset GetFMUState SetFMUState"
     " FreeFMUState SerializedFMUStateSize SerializeFMUState DeserializeFMUState SetDebugLogging"
-    " EnterEventMode UpdateDiscreteStates"
+    f" EnterEventMode UpdateDiscreteStates {_DERIVATIVES}"
 )
 # in the order of `Functions` of the source
 _FUNCTIONS = (
@@ -119,12 +119,12 @@ class Fmi3Library(Library):
     ) -> int | None:
         """Returns the address of a new instance behind the functions of FMI 2.0; None if the FMU refuses.
 
-        name, token: bytes, or buffers of them; uses: sum of `EXAMINED`, `EVENT_MODE` and `EARLY_RETURN`
+        name, token: bytes, or buffers of them; uses: sum of `EXAMINED` and the like
         """
         # 2.3.1: the path ends with a separator; NULL without a folder `resources`
         folder = f"{resources}{os.sep}".encode() if resources.is_dir() else None
         before, after = ([kind() for kind in kinds] for kinds in _FOR_ONE_INTERFACE[self._interface])
-        if before and uses > EXAMINED:
+        if before and uses & (EVENT_MODE | EARLY_RETURN):
             before[:2] = bool(uses & EVENT_MODE), bool(uses & EARLY_RETURN)
             after = [ctypes.cast(self._calls.fmi3_update, _POINTER)]
         # not visible

@@ -22,8 +22,8 @@
 /* Of the master: a value of `kind` is a double, an int (also for Booleans) or a string. */
 enum { REAL, INTEGER, TEXT };
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* of FMI 2.0 */
-/* Uses of an instance: a check of the FMU, event mode in co-simulation, early return of a step. */
-enum { EXAMINED = 1, EVENT_MODE = 2, EARLY_RETURN = 4 };
+/* Uses of an instance: a check of the FMU, event mode in co-simulation, early return of a step, adjoint derivatives. */
+enum { EXAMINED = 1, EVENT_MODE = 2, EARLY_RETURN = 4, ADJOINT = 8 };
 enum { MOST_RETURNS = 1000, MOST_UPDATES = 100 }; /* of one step, of one event */
 
 /* Types with the least and the largest of the master's numbers that they hold, but for infinity. */
@@ -48,9 +48,11 @@ typedef fmi3Status Transfer(fmi3Instance instance, const fmi3ValueReference *ref
 #define FUNCTIONS(X)                                                                                            \
     X(FreeInstance) X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetFMUState)   \
     X(SetFMUState) X(FreeFMUState) X(SerializedFMUStateSize) X(SerializeFMUState) X(DeserializeFMUState)        \
-    X(SetDebugLogging) X(EnterEventMode) X(UpdateDiscreteStates) X(DoStep) X(EnterStepMode)                     \
-    X(EnterContinuousTimeMode) X(SetTime) X(CompletedIntegratorStep) X(GetContinuousStates)                     \
-    X(SetContinuousStates) X(GetContinuousStateDerivatives) X(GetEventIndicators) X(GetNominalsOfContinuousStates)
+    X(SetDebugLogging) X(EnterEventMode) X(UpdateDiscreteStates) X(GetDirectionalDerivative)                    \
+    X(GetAdjointDerivative) X(DoStep) X(EnterStepMode) X(EnterContinuousTimeMode) X(SetTime)                    \
+    X(CompletedIntegratorStep) X(GetContinuousStates) X(SetContinuousStates) X(GetContinuousStateDerivatives)   \
+    X(GetEventIndicators) X(GetNominalsOfContinuousStates) X(GetNumberOfContinuousStates)                       \
+    X(GetNumberOfEventIndicators)
 #define MEMBER(Name) fmi3##Name##TYPE *Name;
 typedef struct {
     FUNCTIONS(MEMBER) /* NULL for functions of the other interface */
@@ -230,6 +232,65 @@ EXCHANGES(Real, REAL, double)
 EXCHANGES(Integer, INTEGER, int)
 EXCHANGES(Boolean, INTEGER, int)
 EXCHANGES(String, TEXT, fmi3String)
+
+/* Returns the number of arrays that hold some scalars, each once; `places`: of the scalars among their values. */
+static size_t arrays_of(const Instance *a, const uint32_t numbers[], size_t n, fmi3ValueReference references[],
+                        size_t places[], size_t *size) {
+    size_t count = 0;
+    *size = 0;
+    for (size_t i = 0, j; i < n; i++) {
+        const Element *e = a->elements + numbers[i];
+        for (j = 0; a->elements[numbers[j]].first != e->first; j++) continue;
+        if (j == i) {
+            references[count++] = (fmi3ValueReference)e->reference;
+            places[i] = *size + numbers[i] - (size_t)e->first;
+            *size += (size_t)e->size;
+        } else
+            places[i] = places[j] + numbers[i] - numbers[j];
+    }
+    return count;
+}
+
+/* 2.2.11: seeds and results are those of whole arrays. Adjoint derivatives are of the same matrix, by its rows. */
+EXPORT int fmi2GetDirectionalDerivative(Instance *a, const uint32_t unknowns[], size_t n, const uint32_t knowns[],
+                                        size_t m, const double seed[], double derivatives[]) {
+    static const char *const function = "fmi3GetDirectionalDerivative";
+    fmi3ValueReference *references = calloc(n + m + 1, sizeof *references), *known_references = references + n;
+    size_t *places = calloc(n + m + 1, sizeof *places), size, n_seeds, n_unknowns, n_knowns;
+    double *seeds = calloc(2 * a->n_elements + 1, sizeof *seeds), *rows = seeds + a->n_elements, *results = a->values;
+    char text[120];
+    int status = fmi3Error;
+    if (references && places && seeds) {
+        n_unknowns = arrays_of(a, unknowns, n, references, places, &size);
+        n_knowns = arrays_of(a, knowns, m, known_references, places + n, &n_seeds);
+        for (size_t i = 0; i < m; i++) seeds[places[n + i]] = seed[i];
+        for (size_t i = 0; i < size; i++) results[i] = NAN;
+        status = a->call->GetDirectionalDerivative(a->instance, references, n_unknowns, known_references, n_knowns,
+                                                   seeds, n_seeds, results, size);
+        noted(a, status, function);
+        for (size_t i = 0; i < n; i++) derivatives[i] = results[places[i]];
+        for (size_t i = 0; i < n && a->uses & ADJOINT && is_done(status); i++) {
+            double sum = 0, most = fabs(derivatives[i]);
+            memset(results, 0, size * sizeof *results);
+            results[places[i]] = 1;
+            for (size_t k = 0; k < n_seeds; k++) rows[k] = NAN;
+            status = a->call->GetAdjointDerivative(a->instance, references, n_unknowns, known_references, n_knowns,
+                                                   results, size, rows, n_seeds);
+            for (size_t k = 0; k < m; k++) {
+                sum += seed[k] * rows[places[n + k]];
+                most = fmax(most, fabs(seed[k] * rows[places[n + k]]));
+            }
+            snprintf(text, sizeof text, "%.9g, and %.9g by fmi3GetAdjointDerivative", derivatives[i], sum);
+            if (!is_done(noted(a, status, "fmi3GetAdjointDerivative"))) continue;
+            /* An FMU may compute either by differences. */
+            if (!(fabs(derivatives[i] - sum) <= 1e-3 * most + 1e-9)) status = refuse(a, function, text);
+        }
+    }
+    free(references);
+    free(places);
+    free(seeds);
+    return status;
+}
 
 /* Modes and steps */
 
@@ -417,6 +478,8 @@ VECTOR(GetContinuousStates, GetContinuousStates)
 VECTOR(GetDerivatives, GetContinuousStateDerivatives)
 VECTOR(GetEventIndicators, GetEventIndicators)
 VECTOR(GetNominalsOfContinuousStates, GetNominalsOfContinuousStates)
+SAME(GetNumberOfContinuousStates, GetNumberOfContinuousStates, (Instance * a, size_t *n), (a->instance, n))
+SAME(GetNumberOfEventIndicators, GetNumberOfEventIndicators, (Instance * a, size_t *n), (a->instance, n))
 
 EXPORT int fmi2CompletedIntegratorStep(Instance *a, int is_final, int *enters_event_mode, int *terminates) {
     fmi3Boolean enters = fmi3False, ends = fmi3False;

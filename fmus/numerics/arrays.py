@@ -165,7 +165,11 @@ def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
         # no x lies in a jump, but symbols evaluate every piece: no division by zero
         if i in (0, len(xp)) or (are_numbers(xp[i - 1], xp[i]) and xp[i - 1] == xp[i]):
             return fp[min(i, len(xp) - 1)]
-        return (fp[i] - fp[i - 1]) / (xp[i] - xp[i - 1]) * (x - xp[i - 1]) + fp[i - 1]
+        width = xp[i] - xp[i - 1]
+        if not are_numbers(width):
+            # 0 times infinity would be no number in an adjoint derivative
+            width = where(width == 0.0, 1.0, width)
+        return (fp[i] - fp[i - 1]) / width * (x - xp[i - 1]) + fp[i - 1]
 
     def one_of(first: int, last: int) -> float:
         """Returns the value at x among these pieces."""

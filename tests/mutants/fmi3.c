@@ -1,6 +1,6 @@
 /* A legal FMU of FMI 3.0 for both interfaces that misbehaves in one way, by the name in resources/mutation.txt.
  *
- *   x' = rate (u - x),  y = gains x + offset (where is_on),  z = x - 0.6 (event indicator)
+ *   x' = rate (u - x),  y = gains x + offset (where is_on),  z = x - 0.6 (event indicator),  force = gains u
  *
  * n counts time events, each a quarter of a second. The list of mutants stands in slaves.toml.
  */
@@ -19,19 +19,19 @@ enum { FIXED, TUNABLE, INPUT, STATE, START, OTHER };
 #define PERIOD 0.25
 
 typedef struct {
-    double time, rate, u, gains[2], x, der_x, z, start, stop, drift, old_x;
+    double time, rate, u, gains[2], force[2], x, der_x, z, start, stop, drift, old_x;
     uint64_t size;
     int64_t mode_of_enum;
     int32_t n, first_n;
     int16_t offset;
-    bool is_on;
+    bool is_on, is_moved;
     char label[100];
     float y[2];
     int mode;
 } Data;
 typedef struct {
     Data d;
-    bool logging, is_exchange, uses_events, may_return;
+    bool logging[2], is_exchange, uses_events, may_return;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
     fmi3IntermediateUpdateCallback update;
@@ -47,16 +47,17 @@ static const Variable VARIABLES[] = {
     V(0, 'd', OTHER, 1, time),   V(1, 'd', TUNABLE, 1, rate), V(2, 'L', OTHER, 1, size),    V(3, 'd', INPUT, 1, u),
     V(4, 's', INPUT, 1, offset), V(5, 'd', FIXED, 2, gains),  V(6, 'd', STATE, 1, x),       V(7, 'd', OTHER, 1, der_x),
     V(8, 'f', OTHER, 2, y),      V(9, 'i', START, 1, n),      V(10, 'd', OTHER, 1, z),      V(11, 'b', INPUT, 1, is_on),
-    V(12, 't', FIXED, 1, label), V(13, 'l', FIXED, 1, mode_of_enum),
+    V(12, 't', FIXED, 1, label), V(13, 'l', FIXED, 1, mode_of_enum), V(17, 'd', OTHER, 2, force),
 };
 
 static char mutation[100];
 static int alive; /* instances */
 #define IS(n) (!strcmp(mutation, n))
 
+static const char *const CATEGORIES[] = {"logStatusError", "logEvents"};
 static void say(Model *m, fmi3Status status, const char *text) {
-    const char *category = IS("an undeclared category") ? "logAnything" : "logStatusError";
-    if (m->logging && !IS("silent refusals")) m->log(m->environment, status, category, text);
+    const char *category = IS("an undeclared category") ? "logAnything" : CATEGORIES[status == fmi3OK];
+    if (m->logging[status == fmi3OK] && !IS("silent refusals")) m->log(m->environment, status, category, text);
 }
 static fmi3Status error(Model *m, const char *text) {
     say(m, fmi3Error, text);
@@ -67,9 +68,10 @@ static fmi3Status error(Model *m, const char *text) {
     if (!(((Model *)instance)->d.mode & (modes))) return error(instance, __func__)
 
 static void compute(Data *d) {
-    d->der_x = d->rate * (d->u - (IS("derivatives of the states before") ? d->old_x : d->x));
+    d->der_x = d->rate * (d->u - (d->mode == CONTINUOUS && IS("derivatives of the states before") ? d->old_x : d->x));
     if (IS("a relation follows the state") && d->x > 0.6) d->der_x -= 1;
     for (int i = 0; i < 2; i++) d->y[i] = (float)(d->gains[i] * d->x + (d->is_on ? d->offset : 0));
+    for (int i = 0; i < 2; i++) d->force[i] = d->gains[i] * d->u;
     d->z = d->x - 0.6;
     if (IS("a fixed value drifts")) d->gains[0] = d->drift + 1;
     if (IS("a discrete output changes in continuous time")) d->n = d->first_n + (int)((d->time - d->start) / PERIOD);
@@ -93,7 +95,7 @@ static fmi3Instance create(fmi3String name, fmi3String token, fmi3String path, b
         mutation[strcspn(mutation, "\n")] = 0;
         fclose(stream);
     }
-    m->logging = logging || IS("logs although logging is off");
+    m->logging[0] = m->logging[1] = logging || IS("logs although logging is off");
     m->environment = environment;
     m->log = log;
     initialise(&m->d);
@@ -131,8 +133,15 @@ void fmi3FreeInstance(fmi3Instance instance) {
 }
 const char *fmi3GetVersion(void) { return "3.0"; }
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-    (void)n, (void)categories;
-    ((Model *)instance)->logging = on || IS("logs although logging is off");
+    bool *logging = ((Model *)instance)->logging;
+    if (IS("logs although logging is off")) return fmi3OK;
+    if (n && IS("all categories are chosen together")) n = 0;
+    if (IS("one category ends all others") && !on) n = 0;
+    for (int i = 0; i < 2; i++) {
+        if (!n) logging[i] = on;
+        for (size_t k = 0; k < n; k++)
+            if (!strcmp(categories[k], CATEGORIES[i])) logging[i] = on;
+    }
     return fmi3OK;
 }
 
@@ -187,7 +196,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean has_to
     NEED(INSTANTIATED);
     (void)has_tolerance, (void)tolerance;
     d->stop = has_stop ? stop + 1e-9 * fabs(stop) : INFINITY;
-    if (IS("logs although logging is off")) say(instance, fmi3OK, "initialised");
+    say(instance, fmi3OK, "initialised");
     d->time = d->start = start;
     d->mode = INITIALIZATION;
     return fmi3OK;
@@ -244,7 +253,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 t, fmi3Float64 h, fmi3B
     double when = 0;
     NEED(STEP);
     (void)no_return;
-    if (end > d->stop) return error(m, "the step ends beyond the stop time");
+    if (end > d->stop && !IS("steps past the stop time")) return error(m, "the step ends beyond the stop time");
     *event = *ends = false;
     if (!IS("earlyReturn is not written")) *early = false;
     if (m->update && h > 0) {
@@ -294,16 +303,59 @@ VECTOR(ContinuousStates, ((Model *)instance)->d.x)
 VECTOR(ContinuousStateDerivatives, ((Model *)instance)->d.der_x)
 VECTOR(EventIndicators, ((Model *)instance)->d.z)
 VECTOR(NominalsOfContinuousStates, 10)
-static fmi3Status one(size_t *n) {
-    *n = 1;
-    return fmi3OK;
-}
-fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance m, size_t *n) { return m ? one(n) : fmi3Error; }
-fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance m, size_t *n) { return m ? one(n) : fmi3Error; }
+#define NUMBER(Name, wrong)                                                 \
+    fmi3Status fmi3GetNumberOf##Name(fmi3Instance instance, size_t *n) {    \
+        NEED(ANY);                                                          \
+        *n = wrong ? 2 : 1;                                                 \
+        return fmi3OK;                                                      \
+    }
+NUMBER(ContinuousStates, IS("one more state is counted"))
+NUMBER(EventIndicators, IS("one more event indicator is counted late") && ((Data *)instance)->mode == EVENT)
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *ends) {
     NEED(CONTINUOUS);
     (void)no_return;
     *event = *ends = false;
+    return fmi3OK;
+}
+
+/* Derivatives: of x, der(x), y and force by rate, u, gains and x */
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t n, const fmi3ValueReference knowns[], size_t m, const fmi3Float64 seed[], size_t n_seed, fmi3Float64 results[], size_t n_results) {
+    const Data *d = &((Model *)instance)->d;
+    const double sign = IS("a derivative has the other sign") ? -1 : 1;
+    double rate = 0, u = 0, gains[2] = {0}, x = 0;
+    const double *end = results + n_results;
+    NEED(INITIALIZATION | EVENT | STEP | CONTINUOUS | TERMINATED);
+    for (size_t i = 0, k = 0; i < m && k < n_seed; i++) {
+        if (knowns[i] == 1) rate = seed[k++];
+        else if (knowns[i] == 3) u = seed[k++];
+        else if (knowns[i] == 5) gains[0] = seed[k++], gains[1] = seed[k++];
+        else if (knowns[i] == 6) x = seed[k++];
+        else return error(instance, "no known has this reference");
+    }
+    for (size_t i = 0; i < n && results < end; i++) {
+        if (unknowns[i] == 6) *results++ = x;
+        else if (unknowns[i] == 7) *results++ = rate * (d->u - d->x) + d->rate * (sign * u - x);
+        else if (unknowns[i] != 8 && unknowns[i] != 17) return error(instance, "no unknown has this reference");
+        else for (int j = 0; j < 2; j++) {
+            const double by_gain = gains[IS("seeds of an array are taken for its first element") ? 0 : j];
+            *results++ = unknowns[i] == 8 ? by_gain * d->x + d->gains[j] * x : by_gain * d->u + d->gains[j] * u;
+        }
+    }
+    if (d->mode == STEP && !d->is_moved && IS("a directional derivative moves the state")) {
+        go_to(&((Model *)instance)->d, d->time + 0.001);
+        ((Model *)instance)->d.is_moved = true;
+    }
+    return results == end ? fmi3OK : error(instance, "another number of values");
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[], size_t n, const fmi3ValueReference knowns[], size_t m, const fmi3Float64 seed[], size_t n_seed, fmi3Float64 results[], size_t n_results) {
+    for (size_t k = 0; k < n_results; k++) {
+        double unit[10] = {0}, derivatives[10] = {0};
+        unit[k] = IS("adjoint derivatives have the other sign") ? -1 : 1;
+        if (fmi3GetDirectionalDerivative(instance, unknowns, n, knowns, m, unit, n_results, derivatives, n_seed)) return fmi3Error;
+        for (size_t i = results[k] = 0; i < n_seed; i++) results[k] += seed[i] * derivatives[i];
+    }
     return fmi3OK;
 }
 
@@ -353,8 +405,6 @@ STUB(GetClock, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, f
 STUB(SetClock, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, const fmi3Clock x[]))
 STUB(GetNumberOfVariableDependencies, (fmi3Instance instance, fmi3ValueReference r, size_t *n))
 STUB(GetVariableDependencies, (fmi3Instance instance, fmi3ValueReference r, size_t a[], fmi3ValueReference b[], size_t c[], fmi3DependencyKind k[], size_t n))
-STUB(GetDirectionalDerivative, (fmi3Instance instance, const fmi3ValueReference u[], size_t a, const fmi3ValueReference k[], size_t b, const fmi3Float64 s[], size_t c, fmi3Float64 x[], size_t d))
-STUB(GetAdjointDerivative, (fmi3Instance instance, const fmi3ValueReference u[], size_t a, const fmi3ValueReference k[], size_t b, const fmi3Float64 s[], size_t c, fmi3Float64 x[], size_t d))
 STUB(GetIntervalDecimal, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3Float64 x[], fmi3IntervalQualifier q[]))
 STUB(GetIntervalFraction, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 s[], fmi3IntervalQualifier q[]))
 STUB(GetShiftDecimal, (fmi3Instance instance, const fmi3ValueReference r[], size_t n, fmi3Float64 x[]))

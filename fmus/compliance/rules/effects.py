@@ -39,12 +39,17 @@ def _by_known(
     that lists nothing depends on all knowns.
     """
     unknowns = (unknown for section in sections for unknown in fmu.unknowns[section])
-    chosen = [u for u in unknowns if u.variable.kind == "Real" and is_judged(u.variable)]
+    chosen = [u for u in unknowns if _is_precise(u.variable) and is_judged(u.variable)]
     groups: list[_Group] = []
-    for known in (v for v in knowns if v.kind == "Real"):
+    for known in filter(_is_precise, knowns):
         depending = (u.variable for u in chosen if u.depends_on(known))
         groups.append((known, list({v.index: v for v in depending if v is not known}.values())))
     return [(known, unknowns) for known, unknowns in groups if unknowns][:_MOST_DERIVED]
+
+
+def _is_precise(v: Variable) -> bool:
+    """Whether difference quotients of a variable have enough digits."""
+    return v.kind == "Real" and not v.is_single
 
 
 # dependencies
@@ -207,7 +212,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
         *((way, _STEPPING, [*inputs, *probe.fmu.state_variables]) for way in (_STEP, *late)),
     )
     judged = [
-        (mode, [u for name in sections for u in unknowns[name] if u.variable.kind == "Real"], knowns)
+        (mode, [u for name in sections for u in unknowns[name] if _is_precise(u.variable)], knowns)
         for mode, sections, knowns in modes
     ]
     judged = [(mode, chosen, knowns) for mode, chosen, knowns in judged if chosen and knowns]

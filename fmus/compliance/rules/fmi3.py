@@ -4,10 +4,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
+from fmus.compliance import actions as do
+from fmus.compliance.fmu_file import CO_SIMULATION, MODEL_EXCHANGE, FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rows import add_rows, anything, elements, row
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, Stage, behaviour_rule
+from fmus.compliance.script import Reply
 from fmus.compliance.traces.generator import traces
 from fmus.compliance.variable import Variable, Variable3, integer, is_true, number
 from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, EXAMINED
@@ -197,3 +199,17 @@ def steps_with_events(probe: Probe) -> None:
     for trace in traces(probe):
         for uses in dict.fromkeys((mode, mode | EARLY_RETURN)):
             probe.script(*trace.whole(), logging=True, uses=EXAMINED | uses).play()
+
+
+def _counts(probe: Probe) -> list[Reply]:
+    """Returns replies with the numbers of states and of event indicators, at first and in event mode."""
+    ask = [do.call("count", f"fmi2GetNumberOf{what}") for what in ("ContinuousStates", "EventIndicators")]
+    script = do.played(probe, [*ask, do.begin, *ask], logging=True)
+    return [reply for reply in script.replies if reply.function.startswith("fmi2GetNumberOf") and reply.ok]
+
+
+add_rows(__name__, Stage.BEHAVIOUR, interface=MODEL_EXCHANGE, rows=(
+    row("counts-are-as-described", _counts,
+        (lambda reply, probe: reply.value != (n := probe.fmu.vector_length(reply.function)) and f"{n}",
+         "{function} gives {subject.value}: expected {value}, as in the description")),
+))  # fmt: skip

@@ -272,7 +272,9 @@ def _played_with_logging(probe: Probe) -> Iterator[_Run]:
         alone, without = (do.set_debug_logging(is_on, name) for is_on in (True, False))
         rows.append((f"where {name!r} alone is enabled", {name}, False, [alone], []))
         when = f"where logging was turned off with the category {name!r}"
-        rows.append((when, set(), False, [on, without], []))
+        # FMI 2.0 says "it is disabled", and FMI 3.0 for which categories
+        others = everything - {name} if probe.fmu.fmi == 3 else set[str | None]()
+        rows.append((when, others, False, [on, without], []))
     for when, enabled, logging, settings, others in rows:
         actions = do.pause, *settings, do.begin, *late, *_CALLS_THAT_LOG[1:], *(() if settings else again)
         scripts = [probe.script(*some, logging=logging) for some in (others, actions) if some]

@@ -16,7 +16,7 @@ from fmus.compliance.script import Script
 from fmus.compliance.texts import PENDED
 from fmus.compliance.traces import table
 from fmus.compliance.variable import Variable
-from fmus.fmi.binding import DISCARD, PENDING
+from fmus.fmi.binding import DISCARD, ERROR, FATAL, PENDING
 
 _ASYNCHRONOUS = "canRunAsynchronuously"
 _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
@@ -176,6 +176,14 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
     failure = do.over_the_experiment(probe).failure
     if failure and failure.status != DISCARD:
         yield failure.problem
+
+
+@differential("2.1.6", interface=CO_SIMULATION)
+def steps_past_the_stop_time_are_refused(_: Probe) -> Iterator[Row]:
+    """A step past a stop time that is defined returns error."""
+    finding = "{reply.function} past the stop time {reply.status_name}: expected error"
+    varied = *do.begin_until(0.5), do.error(do.step(), finding, ERROR, FATAL)
+    yield Row("", varied, (), may_fail=True)
 
 
 # steps that are pending

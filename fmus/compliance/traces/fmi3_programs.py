@@ -21,6 +21,7 @@ _EXIT, _UPDATE, _COMPLETED = (
     "fmi2NewDiscreteStates",
     "fmi2CompletedIntegratorStep",
 )
+DERIVATIVE = "fmi2GetDirectionalDerivative"
 _OF_NO_VARIABLE = {"Real": "Float64", "String": "String"}  # of other kinds: Int32
 _NOT_SET_UP = 0, 0.0, 0.0, 0, 0.0
 _SAME = {
@@ -59,6 +60,21 @@ def _transfers(call: Call, fmu: FmuFile) -> list[_Transfer]:
     return transfers
 
 
+def _derivative(call: Call, fmu: FmuFile) -> tuple[list[int], list[int], list[float], int]:
+    """Returns references of unknowns and knowns, seeds and the number of results, all of whole arrays."""
+    (_, unknowns), _, (_, knowns), _, (_, seed), _ = call.arguments
+    elements, by_number = fmu.elements or [], dict(zip(knowns, seed, strict=True))
+    arrays = [[*dict.fromkeys(elements[number] for number in some)] for some in (unknowns, knowns)]
+    results, known = arrays
+    seeds = [by_number.get(of.first + i, 0.0) for of in known for i in range(of.size)]
+    return (
+        [of.reference for of in results],
+        [of.reference for of in known],
+        seeds,
+        sum(of.size for of in results),
+    )
+
+
 def own_calls(calls: Sequence[Call]) -> Iterator[Call]:
     """Yields the calls that the FMU gets: what sets an experiment up are arguments of the next one, and the
     status of a step is what it has returned.
@@ -85,6 +101,9 @@ def fmpy_line(call: Call, fmu: FmuFile, usual: str) -> str:
         return f"step({instance}, {t!r}, {h!r}, {bool(no_going_back)})"
     if function == _EXIT and fmu.uses & EVENT_MODE:
         return f"{instance}.exitInitializationMode()\nhandle_event({instance})"
+    if function == DERIVATIVE:
+        shown = ", ".join(map(str, _derivative(call, fmu)))
+        return f"print({instance}.getDirectionalDerivative({shown}))"
     if function[7:] in KINDS:
         return "\n".join(_fmpy_transfer(one, instance, function[4:7]) for one in _transfers(call, fmu))
     for old, new in _SAME.items():
@@ -131,6 +150,14 @@ def c_lines(call: Call, fmu: FmuFile, usual: Sequence[str]) -> Sequence[str]:
         return [f"{_HELPERS[function]}({', '.join([instance, *numbers])});"]
     if function == _EXIT and fmu.uses & EVENT_MODE:
         return [*map(names_of_fmi3, usual), f"handle_event({instance});"]
+    if function == DERIVATIVE:
+        *some, count = _derivative(call, fmu)
+        kinds = "fmi3ValueReference", "fmi3ValueReference", "fmi3Float64"
+        arrays = (f"({kind}[]){{{str(x)[1:-1]}}}, {len(x)}" for kind, x in zip(kinds, some, strict=True))
+        given = f"({', '.join([instance, *arrays])}, reals, {count})"
+        shown = [f'printf("    %.17g\\n", reals[{i}]);' for i in range(count)]
+        name = names_of_fmi3(function)
+        return [f'printf("{name}: status %d\\n", CALL({name}){given});', *shown]
     if function[7:] in KINDS:
         lines = (_c_transfer(one, instance, function[4:7]) for one in _transfers(call, fmu))
         return [line for some in lines for line in some]

@@ -20,7 +20,7 @@ FLAGS = {  # of FMI 2.0 -> of FMI 3.0, where the names differ
     "providesDirectionalDerivative": "providesDirectionalDerivatives",
 }
 _OF_FMI2 = {new: old for old, new in FLAGS.items()}
-_NOT_JUDGED = "providesDirectionalDerivatives", "maxOutputDerivativeOrder"  # of FMI 3.0
+_NOT_JUDGED = "maxOutputDerivativeOrder"  # of FMI 3.0
 LISTS = {  # of ModelStructure in FMI 2.0 -> elements of FMI 3.0
     "Outputs": "Output",
     "Derivatives": "ContinuousStateDerivative",
@@ -67,7 +67,7 @@ def as_fmi2(root: Any, variables: Sequence[Variable]) -> tuple[Any, list[Element
 
 
 def _add_interface(view: Any, interface: Any) -> None:
-    stated = ((name, text) for name, text in interface.attrib.items() if name not in _NOT_JUDGED)
+    stated = ((name, text) for name, text in interface.attrib.items() if name != _NOT_JUDGED)
     claims = {_OF_FMI2.get(name, name): text for name, text in stated}
     needed = is_true(interface.get("needsCompletedIntegratorStep"))
     etree.SubElement(view, interface.tag, claims, completedIntegratorStepNotNeeded=str(not needed).lower())

@@ -17,7 +17,7 @@ from fmus.fmi.binding import EARLY_RETURN, EVENT_MODE, status_name
 _MOST_LINES = 40  # of a trace in a report
 _MOST_STEPS = 3  # in succession
 _STATES = 8  # saved states of a program
-_READS = "fmi2Get"
+_READS, _COUNTS = "fmi2Get", "fmi2GetNumberOf"
 _SERIALISES = "fmi2SerializeFMUstate"
 _VECTORS = "Derivatives", "EventIndicators", "ContinuousStates", "NominalsOfContinuousStates"
 
@@ -77,6 +77,10 @@ def _line(call: Call, names: dict[tuple[str, int | None], str], uses: int) -> st
             return f"{call.function}({', '.join(shown)}) is {str(values)[1:-1]}{status}"
         pairs = (f"{name} = {value!r}" for name, value in zip(shown, values, strict=True))
         return f"{call.function}({', '.join(pairs)}){status}"
+    if call.function == fmi3_programs.DERIVATIVE:
+        (_, unknowns), _, (_, knowns), _, (_, seed), (_, values) = call.arguments
+        of, by = (", ".join(str(names.get(("Real", r), r)) for r in some) for some in (unknowns, knowns))
+        return f"{call.function}(of {of} by {by}, seed {seed}) is {values}{status}"
     place = _place_of_results(call)
     shown = ", ".join(_text(x) for i, x in enumerate(call.arguments) if i != place)
     told = "" if place is None else f" is {call.arguments[place][1]}"
@@ -151,6 +155,8 @@ def _c_lines(call: Call) -> Iterator[str]:
         yield f'printf("    {form}\\n", {buffer}[{i}]);'
     if call.function == "fmi2SerializedFMUstateSize":
         yield "bytes = malloc(size);"
+    if call.function.startswith(_COUNTS):
+        yield 'printf("    %zu\\n", size);'
 
 
 def _place_of_results(call: Call) -> int | None:
@@ -296,6 +302,7 @@ _FMPY_LINES = {
     "fmi2SetContinuousStates": "{fmu}.setContinuousStates((c_double * {1})(*{0}), {1})",
     "fmi2NewDiscreteStates": "print({fmu}.newDiscreteStates())",
     "fmi2CompletedIntegratorStep": "print({fmu}.completedIntegratorStep({0}))",
+    **{f"{_COUNTS}{kind}": f"print({{fmu}}.getNumberOf{kind}())" for kind in _VECTORS[1:3]},
     **{f"fmi2Get{kind}Status": f"print({{fmu}}.get{kind}Status({{0}}))" for kind in ("", *KINDS)},
     **{f"fmi2Set{kind}": f"{{fmu}}.set{kind}({{0}}, {{2}})" for kind in KINDS},
     **{f"fmi2Get{kind}": f"print({{fmu}}.get{kind}({{0}}))" for kind in KINDS},

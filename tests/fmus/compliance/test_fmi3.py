@@ -14,6 +14,7 @@ from fmus.generate import builder
 from tests.described_fmus import XML, members
 from tests.mutants.base import BASE_3, written
 from tests.mutants.slaves import write_slave
+from tests.shared_builds import Fmus
 
 from .archives import Members, broken_rules, write
 
@@ -42,6 +43,12 @@ def test_ours_breaks_no_rule(content: Members, names: tuple[str, ...] | None, tm
     results = examine(write(content, tmp_path / "plant.fmu"), names=names)
     assert {result.outcome for result in results} <= {"passed", "not applicable"}
     assert names is None or len(results) == len(names)
+
+
+def test_adjoint_derivatives_by_a_table_with_a_jump_are_numbers(fmi3_built: Fmus) -> None:
+    """The table of thrusters has 0 N at two voltages."""
+    (result,) = examine(fmi3_built["L1DepthController"], names=["directional-derivatives"])
+    assert result.outcome == "passed"
 
 
 @pytest.mark.parametrize(

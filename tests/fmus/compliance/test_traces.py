@@ -114,6 +114,7 @@ def test_programs_are_written_for_the_findings(tmp_path: Path, capsys: pytest.Ca
         "derivatives have a history",
         "the second element of an array is lost",
         "derivatives of the states before",
+        "a directional derivative moves the state",
     ],
 )
 def test_both_programs_read_what_the_check_read(name: str, tmp_path: Path) -> None:
