@@ -9,9 +9,10 @@ the same command continues, and --laws adds laws.
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
 so on, and the same way back: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971).
 That is one budget. The second one is as large and goes the same ways again: a front after both has twice the
-evaluations. Each search begins at the best gains that the seed has evaluated until then: at first the tuned ones, the start
-values or those of the law's special case (`SPECIAL_CASES`). All laws have one step. A front is of the
-evaluations that keep every bound and do not fail; those without the delay margin are taken out first.
+evaluations. Each search begins at the best gains that the seed has evaluated until then: at first the tuned
+ones, the start values or those of the law's special case (`SPECIAL_CASES`). All laws have one step. A front
+is of the evaluations that keep every bound and do not fail; those without the delay margin are taken out
+first.
 """
 
 import json
@@ -154,7 +155,7 @@ def main(
         int,
         typer.Option(
             metavar="NUMBER",
-            help="Evaluations for each free gain, each seed, each bound, there and back in each of two budgets.",
+            help="Evaluations for each free gain, seed and bound, on each of four ways.",
             min=1,
         ),
     ] = 100,
