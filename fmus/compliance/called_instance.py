@@ -88,11 +88,11 @@ class CalledInstance(parts.StateSlots):
         self._calls: list[list[Any]] | None = [] if options.get("recorded") else None
         kind = options.get("callbacks", "usual")
         self._after = self._callbacks = f" (callbacks: {kind})" if "callbacks" in options else ""
-        log = parts.MessageLog(settings, self._noted)
+        log = parts.MessageLog(settings, self._noted, options.get("name", USUAL_NAME))
         is_usual = kind != "fewest"
         super().__init__(library, Callbacks(memory, is_usual, log, None if is_usual else 0))
         self.messages = log
-        CalledInstance._unknown = parts.MessageLog(settings, self._noted, False)
+        CalledInstance._unknown = parts.MessageLog(settings, self._noted)
         if is_usual:
             Callbacks(environment=0, log=CalledInstance._unknown)
         structure = self.callbacks.structure

@@ -140,6 +140,7 @@ class FmuFile:
             except (ValueError, LookupError) as error:
                 fmu.description_problem = str(error)
             fmu.has_clocks = any(v.kind == "Clock" for v in self.variables)
+            # 2.3.2: clocks require event mode
             fmu.uses = EXAMINED | (EVENT_MODE if fmu.has_clocks and fmu.claims("hasEventMode") else 0)
             fmu.uses |= ADJOINT if fmu.claims("providesAdjointDerivatives") else 0
         return fmu

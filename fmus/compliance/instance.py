@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmus.compliance.called_instance import CalledInstance
+from fmus.compliance.instance_parts import MessageLog
 from fmus.compliance.model_exchange import CalledModelExchange
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.texts import ALLOCATIONS, STEPS, defect
@@ -161,6 +162,7 @@ class LoadedFmu:
 
     def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:
         """Returns the result of an action, the messages meanwhile and changed settings."""
+        MessageLog.called = instance.messages
         value = action()
         changed = instance.changed_settings() if instance.watched else []
         self._settings.restore_floating_point()

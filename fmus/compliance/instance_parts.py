@@ -17,23 +17,31 @@ class MessageLog(Log):
     """Messages with the instance and the category that the FMU gave.
 
     noted: gets rows if the FMU calls the logger with other settings of the process
+    name: of the instance whose environment leads here; None of the log of unknown environments
+    called: the log of the instance that is called
     """
 
+    called: "MessageLog | None" = None
+
     def __init__(
-        self, settings: ProcessSettings, noted: set[tuple[str, str, str]], known_environment: bool = True
+        self, settings: ProcessSettings, noted: set[tuple[str, str, str]], name: str | None = None
     ) -> None:
         super().__init__()
-        self._settings, self._noted, self._known_environment = settings, noted, known_environment
+        self._settings, self._noted, self._name = settings, noted, name
         self.messages: list[list[Any]] = []
 
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
         self._noted |= {(f"{name} in a callback", *values) for name, *values in self._settings.differing()}
-        if len(self.messages) < _MOST_MESSAGES:
+        called = MessageLog.called
+        # with the environment of another instance; its threads give its own name
+        log = self if called is None or instance != called._name or instance == self._name else called
+        if len(log.messages) < _MOST_MESSAGES:
             # before rules cut the text, where half of a folder's name could stay
             text = without_folders(message)
-            self.messages.append([status, text, instance, category, self._known_environment])
+            is_right = log is self and self._name is not None
+            log.messages.append([status, text, instance, category, is_right])
 
 
 def logger_of_formats(messages: MessageLog) -> Any:

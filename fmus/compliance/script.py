@@ -89,7 +89,9 @@ class Reply:
     @property
     def problem(self) -> str:
         """Problem of the call, or of a step of many calls none of which failed, in words."""
-        return self.reason or f"{self.function}{self.words} {self.status_name}: expected ok; {self.logged}"
+        pending = "fmi2DoStep returned pending, then " * (self.is_step and self.function == "fmi2GetStatus")
+        what = f"{pending}{self.function}{self.words} {self.status_name}"
+        return self.reason or f"{what}: expected ok; {self.logged}"
 
 
 @cache

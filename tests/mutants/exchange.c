@@ -450,6 +450,7 @@ static double level(Data *d) {
     const double z = x - 0.1 + (d->above ? 1e-9 : -1e-9);
     if (IS("an indicator is no number") && d->stairs > 1) return NAN;
     if (IS("an indicator of two values")) return z > 0 ? 1 : -1;
+    if (FLAG("an indicator grows with an input")) return z * (1 + 1e8 * fabs(d->u - 0.2));
     return z;
 }
 static double floor_level(Data *d) {

@@ -768,6 +768,7 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate st, size_t *
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate st, fmi2Byte b[], size_t n) {
     memcpy(b, IS("bytes of the present") ? (void *)&((Slave *)c)->d : st,
            n < sizeof(Data) && !forgets(st) ? n : sizeof(Data));
+    if (IS("bytes of another time beside another instance") && c != first) ((Data *)b)->time += 0.01;
     return fmi2OK;
 }
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte b[], size_t n, fmi2FMUstate *st) {

@@ -163,7 +163,8 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     again = do.copy(0, 1), do.free_state(), do.step(), do.restore(1), do.read_all(), do.run_all(3)
     first = do.start, do.step(2), do.save(), do.restore()
     varied = *first, do.expect(do.read_all(), do.run_all(3)), *again
-    rows += [Row("from bytes", varied, (), tolerance=OF_EXPERIMENT), *paths.rows(probe, paths.from_bytes)]
+    rows += [Row("from bytes", varied, (), tolerance=OF_EXPERIMENT, beside=beside[:1])]
+    rows += [*paths.rows(probe, paths.from_bytes)]
     messages = [*differences(probe, rows)]
     if messages and serialised[0].value != serialised[-1].value:
         yield (

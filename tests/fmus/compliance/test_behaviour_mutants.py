@@ -35,7 +35,12 @@ OSCILLATORS = (
     "tunable locals stay", "logs its calls", "backward differences", "seven digits",
     "begins anew where an input is set",
 )  # fmt: skip
-EXCHANGES = "", "completed steps are not needed", "a hidden value of the start"
+EXCHANGES = (
+    "",
+    "completed steps are not needed",
+    "a hidden value of the start",
+    "an indicator grows with an input",
+)
 QUICK = (
     "steps beyond the stop time", "keeps the pointer to its name", "a changed rounding mode",
     "the process counts its steps", "a crash where it is freed",
@@ -57,6 +62,10 @@ FIRST_MESSAGES = {
     "lastSuccessfulTime is not written": "fmi3DoStep returned ok: lastSuccessfulTime was not written",
     "an intermediate update before the step": (
         "fmi3DoStep returned ok: the time of an intermediate update is -0.01 s: expected 0..0.01 s"
+    ),
+    "a pending step has no status": "fmi2DoStep returned pending, then fmi2GetStatus returned error: ",
+    "reset takes the environment of the first instance": (
+        "the logger was called without the componentEnvironment of its instance"
     ),
     "the start time is ignored": "time is 0 after initialisation with startTime 0.3 s: expected 0.3",
 }
