@@ -104,15 +104,14 @@ def search_fronts(
     def started(row: Row) -> dict[str, float]:
         return {gain.name: gain.limited(row["gains"][gain.name]) for gain in problem.gains}
 
-    passes = [*bounds, *reversed(bounds)] * 2
     with searching(problem, evaluations, path, evaluate, progress) as run_searches:
         if begin:
             first = _Begin(problem, begin)
             run_searches([first])
             rows = {seed: [*known, *first.rows] for seed, known in rows.items()}
-        for level, bound in enumerate(passes):
+        for level, bound in enumerate([*bounds, *reversed(bounds)]):
             cost, searches = partial(bounded_cost, bound=bound), list[SeedSearch]()
-            if level == 2 * LEVELS:
+            if level == LEVELS:
                 half = [[*known] for known in rows.values()]
             for seed, of_seed in rows.items():
                 start = started(min(of_seed, key=cost)) if of_seed else None
@@ -162,7 +161,7 @@ def front_of_law(
     parameters = {**built_in(protocol, name).parameters, **protocol.controllers[name].parameters}
     controller = replace(tuned(protocol, name), parameters=parameters, step=0.0)
     problem = tune_problem.problem_of(controller, protocol, free_gains(protocol, name))
-    total = 4 * LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
+    total = 2 * LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
     with tune_problem.evaluations(controller, protocol, workers, total) as evaluate:
         how = largest, path, evaluate, progress, known_gains(protocol, name, problem.gains), special
         budgets = search_fronts(problem, seeds, evaluations_per_gain, *how)

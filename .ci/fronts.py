@@ -7,12 +7,11 @@ docs/explanation/comparison.md; --plant NAME is for one vehicle, --help shows th
 the same command continues, and --laws adds laws.
 
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
-so on, and the same way back: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971).
-That is one budget. The second one is as large and goes the same ways again: a front after both has twice the
-evaluations. Each search begins at the best gains that the seed has evaluated until then: at first the tuned
-ones, the start values or those of the law's special case (`SPECIAL_CASES`). All laws have one step. A front
-is of the evaluations that keep every bound and do not fail; those without the delay margin are taken out
-first.
+so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). That is one budget; the
+second one is as large and goes the same way back, so that a front after both has twice the evaluations. Each
+search begins at the best gains that the seed has evaluated until then: at first the tuned ones, the start
+values or those of the law's special case (`SPECIAL_CASES`). All laws have one step. A front is of the
+evaluations that keep every bound and do not fail; those without the delay margin are taken out first.
 """
 
 import json
@@ -113,7 +112,7 @@ def fronts_of_vehicle(
     def write() -> None:
         write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
 
-    with shared.progress("fronts", 4 * LEVELS * seeds * evaluations * gains, kept="evaluations") as bar:
+    with shared.progress("fronts", 2 * LEVELS * seeds * evaluations * gains, kept="evaluations") as bar:
         for name in names:
             of_special, changed = SPECIAL_CASES.get(name, ("", {}))
             (tuned_gains, _) = known_gains(protocol, name, free_gains(protocol, name))
@@ -155,7 +154,7 @@ def main(
         int,
         typer.Option(
             metavar="NUMBER",
-            help="Evaluations for each free gain, seed and bound, on each of four ways.",
+            help="Evaluations for each free gain, each seed, each bound and each of two budgets.",
             min=1,
         ),
     ] = 100,

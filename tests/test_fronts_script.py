@@ -254,7 +254,7 @@ def test_an_interrupted_front_continues_to_the_same_one_bit_for_bit(tmp_path: Pa
     path = tmp_path / "journal"
     with pytest.raises(KeyboardInterrupt):
         fronts_of(path, interrupted)
-    left = 15 * 2 * LEVELS * 4 * 2 - calls  # not one evaluation is made twice
+    left = 15 * 2 * LEVELS * 2 * 2 - calls  # not one evaluation is made twice
     assert fronts_of(path, interrupted) == fronts_of(tmp_path / "other")
     assert left == 0
     assert path.read_bytes() == (tmp_path / "other").read_bytes()
