@@ -64,7 +64,7 @@ class FirmwareC(ScalarC):
         variables["x"] = block.state_variables
         self.members = {column: dict(_members(those)) for column, those in variables.items()}
         self.types = {
-            column: ["double" if column in "pcx" and is_exact(v) else number for v in those]
+            column: ["double" if column in "pcx" and _is_exact(v) else number for v in those]
             for column, those in variables.items()
         }
         self.members["next"], self.types["next"] = self.members["x"], self.types["x"]
@@ -120,7 +120,7 @@ class FirmwareC(ScalarC):
         return f"{column}->{self._names[column][int(index[:-1])]}" if column in _STRUCTS else operation.text
 
 
-def is_exact(variable: BlockVariable) -> bool:
+def _is_exact(variable: BlockVariable) -> bool:
     """Whether a variable is a time or a whole number, for which 24 bits are too few."""
     return variable.unit == "s" or variable.type == "Integer"
 

@@ -1,7 +1,7 @@
 """Traced functions -> C in two dialects: for one instance, and for a group of instances.
 
 `fmus/firmware/code.py` has a third one, for microcontrollers. All write the same operations, a statement
-each. So their numbers are the same bit for bit.
+each. So their numbers are the same bit for bit, but for firmware in floats.
 """
 
 import textwrap

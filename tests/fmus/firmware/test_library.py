@@ -224,7 +224,7 @@ def looped(
 def test_the_nominal_loop_on_a_microcontroller_has_the_bits_of_the_fmus(
     nominal: Any, of_fmus: tuple[float, float, int, float], tmp_path: Path, microcontroller: str
 ) -> None:
-    """15,500 steps of the same size with the sensor's noise, in an emulator without operating system."""
+    """15,500 steps of the same size with the sensor's noise; the Cortex-M7 has no operating system."""
     depth, rate, digest, error = looped(nominal, tmp_path, microcontroller)
     # the error is summed with a function of the C library
     assert (depth, digest, error) == (*of_fmus[::2], pytest.approx(of_fmus[3], rel=1e-12))
@@ -238,7 +238,6 @@ def test_a_controller_in_floats_tracks_as_the_fmu(
 ) -> None:
     """A float differs by 1e-7. It moves some readings by the sensor's resolution, as noise does."""
     depth, _, digest, error = looped(nominal, tmp_path, "cortex-m4", "float")
-    print(depth, of_fmus[0], error, of_fmus[3])
     assert 100.0 * error == pytest.approx(4.37, abs=0.005)
     assert error == pytest.approx(of_fmus[3], rel=1e-4)
     assert depth == pytest.approx(of_fmus[0], abs=1e-3)
