@@ -128,7 +128,7 @@ class ThrusterParameters:
     )
     thruster_scale: Pair = variable(
         (1.0, 1.0),
-        "Number of thrusters that a voltage drives, times their health: factor of the table's force",
+        "Number of thrusters that a voltage drives: factor of the table's force",
         min=0.0,
         max=1e3,
         source="assumed: one thruster each",
