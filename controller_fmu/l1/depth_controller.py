@@ -266,7 +266,8 @@ y            = C x = z
         " remains; with outside, no lag. augmentation then acts on the remaining error.",
         "adaptation_law piecewise_constant needs no adaptation_gain and no bounds. It differentiates the"
         " depth rate over adaptation_period, so its estimates are noisier. Slow eigenvalues of"
-        " prediction_error_matrix A_s bias them least; an adaptation_period below observer_period only adds noise.",
+        " prediction_error_matrix A_s bias them least; an adaptation_period below observer_period"
+        " only adds noise.",
         shared_guide.OBSERVER_TUNING,
     ),
     limits=(
