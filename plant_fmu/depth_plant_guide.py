@@ -36,8 +36,8 @@ sensor     m_k = q(z(t_k) + h + bias + drift (t_k - t_0) + noise xi_k) at t_k = 
         " line and parabola meet; thruster_rate_limit R of the force; thruster_full_depth d_f, from which a"
         " propeller draws no air, with thruster_depth d_t below the vehicle's top.",
         "For a measured thruster, set thruster_tabulated, thruster_table_voltage, thruster_table_force and"
-        " thruster_scale n, the number of thrusters. The force is linear between the points. For a shorter"
-        " table, put unused points on its segments. The start values describe a T200, far too strong for"
+        " thruster_scale n, the number of thrusters. The force is linear between the points. For fewer"
+        " points, put the others on its segments. The start values describe a T200, far too strong for"
         " this vehicle.",
         "sensor_ideal reports the depth, with the pressure head of waves, at every instant. Otherwise period,"
         " noise, bias, drift, resolution and delay act. One sensor_seed gives one sequence of noise, on every"

@@ -128,7 +128,7 @@ class ThrusterParameters:
     )
     thruster_scale: Pair = variable(
         (1.0, 1.0),
-        "Number of thrusters that a voltage drives, times their health: factor of the table's force",
+        "Number of thrusters that a voltage drives: factor of the table's force",
         min=0.0,
         max=1e3,
         source="assumed: one thruster each",
@@ -155,11 +155,11 @@ class ThrusterParameters:
         unit="m",
         min=-1e3,
         max=1e3,
-        source="guess: the middle of the published height; without effect but for ventilation",
+        source="guess: half of the published 0.146 m; without effect but for ventilation",
     )
     thruster_full_depth: float = variable(
         0.0,
-        "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
+        "Least depth of a propeller without loss of thrust by ventilation; 0: no ventilation",
         unit="m",
         min=0.0,
         max=1e3,

@@ -254,9 +254,9 @@ y            = C x = z
         " augmentation, the depth lags on a ramp by about"
         " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
         "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
-        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The loop"
-        " tolerates a sensor delay of 204 ms at 100, 17 ms at 1000 and 131 ms at 1e4. Watch sigma_hat and the"
-        " voltages as well as the depth.",
+        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. On"
+        " RovDepthPlant the loop tolerates sensor delays of 204, 17 and 131 ms with 100, 1000 and 1e4."
+        " Watch sigma_hat and the voltages as well as the depth.",
         "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy."
         " If an estimate stays on its bound, the bound is too small or the loop too fast.",
         "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
@@ -265,16 +265,17 @@ y            = C x = z
         " depth_reference_acceleration and set reference_feedforward. With inside, the lag of the filter"
         " remains; with outside, no lag. augmentation then acts on the remaining error.",
         "adaptation_law piecewise_constant needs no adaptation_gain and no bounds. It differentiates the"
-        " depth rate over adaptation_period, so its estimates are noisier. A slow prediction_error_matrix A_s"
-        " gives the smallest offset; an adaptation_period below observer_period only adds noise.",
+        " depth rate over adaptation_period, so its estimates are noisier. Slow eigenvalues of"
+        " prediction_error_matrix A_s bias them least; an adaptation_period below observer_period"
+        " only adds noise.",
         shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         *LAW_LIMITS,
         "The paper publishes no gains for its vehicle. The column Source says which gains were fitted to the"
-        " nominal row of its Table 1; the others are guesses. All were tried on RovDepthPlant alone.",
-        "On that plant, at 0.8 m, the loop with adaptation_gain 100 is unstable above 200 ms of sensor delay;"
-        " with 1000 the depth oscillates at 10 ms.",
+        " nominal rows of its Table 1; the others are guesses. All were tried on RovDepthPlant alone.",
+        "With longer sensor delays than those stated for adaptation_gain, the depth oscillates at 0.8 m by"
+        " more than 3 mm.",
         shared_guide.VEHICLE_LIMIT,
     ),
     sources=(

@@ -1,6 +1,6 @@
 """Systems of second order: their algebra in closed form, and the matrices and gains of a design.
 
-    A_m' P + P A_m = -Q,    k_g = -1 / (C A_m^-1 B_m)
+    A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
 
 A design is P, P B_m and k_g of A_m, B_m, C and Q, and the gains of two additions. A block computes them
 from its parameters with arithmetic alone, on floats and on CasADi symbols; `design.py` with SciPy.
@@ -97,7 +97,7 @@ class LawMatrices:
 
     predictor_matrix: Matrix = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m of the predictor")
     predictor_input: Vector = variable((0.0, 1.0), "B_m, input column")
-    lyapunov_matrix: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "P, solution of A_m' P + P A_m = -Q")
+    lyapunov_matrix: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "P, solution of A_m^T P + P A_m = -Q")
     adaptation_vector: Vector = variable((0.0, 1.0), "P B_m, weight of the prediction error")
     feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)")
     feedforward_rate_gain: float = variable(1.0, "-k_g tr(A_m) / det(A_m), gain of r' in f")

@@ -172,8 +172,8 @@ In (b) and (c) a line is the mean over {_NOISE_WINDOW_S:g} s, the pale band the 
 The vehicle starts afloat at the surface. The part above water has no buoyancy. So buoyancy acts as a spring.
 Spring and mass oscillate at about 1 Hz. Observer and thrusters delay the feedback,
 which sustains the oscillation.
-It is a limit cycle, not noise: with the true depth rate it vanishes
-(scenarios whose names end in -ideal, with the true depth as well).
+It is a limit cycle, not noise: with the true depth rate it vanishes.
+Scenarios named ...-ideal use the true depth and depth rate.
 It ends when the thrust holds the vehicle under water, where the spring is gone.
 """
 
