@@ -83,7 +83,8 @@ def test_points_without_the_margin_go_before_they_hide_others() -> None:
     ("half", "errors", "expected"),
     [
         ([[1.0, 2.0], [1.2, 2.1]], [[1.0, 2.0], [1.04, 2.0]], True),
-        ([[1.0, 2.0], [1.0, 2.0]], [[1.0, 2.0], [1.0, 2.12]], False),  # the seeds differ within one bound
+        ([[1.0, 2.0]] * 3, [[1.0, 2.0], [1.0, 2.09], [1.5, 2.5]], True),  # half of the seeds, as in a tuning
+        ([[1.0, 2.0]] * 3, [[1.0, 2.0], [1.0, 2.11], [1.0, 2.5]], False),  # one seed alone within one bound
         ([[1.06, 2.0], [1.06, 2.0]], [[1.0, 2.0], [1.0, 2.0]], False),  # the second budget has found more
         ([[1.0, 2.0]], [[1.0, 2.0]], False),  # one seed shows nothing
         ([[1.0, math.inf], [1.0, math.inf]], [[1.0, math.inf], [1.0, math.inf]], False),
