@@ -54,13 +54,13 @@ SPECIAL_CASES: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "pid-rates": ("pid", {"beta": 0.0}),
 }
 """Law -> the law that it is with some of its gains."""
-STUDY: Mapping[str, tuple[Mapping[str, float], Sequence[str]]] = {
-    "RovDepthPlant": ({}, ()),
+STUDY: Mapping[str, tuple[Mapping[str, float], list[str]]] = {
+    "RovDepthPlant": ({}, []),
     "RovHeavePitchPlant": (
         {"plant.thruster_efficiency[2]": 0.9},
-        ("nominal", "buoyancy", "hold-step", "hold-sea"),
+        ["nominal", "buoyancy", "hold-step", "hold-sea"],
     ),
-    "BlueRov2Plant": ({}, ()),
+    "BlueRov2Plant": ({}, []),
 }
 """Vehicle -> its settings, and the cases of the cost in place of the protocol's."""
 _TUTORIAL = Path(__file__).parent.parent / "docs" / "tutorials" / "python-controller.md"
@@ -171,7 +171,7 @@ def main(
     shared.check_writable(out)
     options = tune_problem.cost_of_options(bounds, cases)
     for vehicle in [changes.components[PLANT]] if PLANT in changes.components else STUDY:
-        settings, of_study = STUDY.get(vehicle, ({}, ()))
+        settings, of_study = STUDY.get(vehicle, ({}, []))
         # the base's own vehicle is that of the protocol
         is_other = vehicle != read_protocol().vehicle.name
         given = replace(changes, settings={PLANT: vehicle, **settings, **changes.settings})

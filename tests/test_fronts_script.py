@@ -17,7 +17,7 @@ from orchestration.cli.commands import run_application
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.scenarios.free_parameter import FreeParameter
 from orchestration.studies.score.closed_loop import ClosedLoop, built_in, tuned, tuned_gains
-from orchestration.studies.score.protocol import Protocol, read_protocol
+from orchestration.studies.score.protocol import Protocol, read_protocol, with_cost
 from orchestration.studies.score.tune import Problem
 from orchestration.studies.score.tune_problem import LARGEST, problem_of
 from orchestration.studies.vehicle import Vehicle
@@ -41,10 +41,17 @@ from front_search import (  # pyright: ignore[reportMissingImports]
     known_gains,
     search_fronts,
 )
-from fronts import SPECIAL_CASES, application  # pyright: ignore[reportMissingImports]
+from fronts import SPECIAL_CASES, STUDY, application  # pyright: ignore[reportMissingImports]
 
 sys.path.pop(0)
 REFERENCE = Point(10.0, 1000.0)
+
+
+@pytest.mark.parametrize("vehicle", STUDY)
+def test_the_cases_of_each_vehicle_are_cases_of_the_protocol(vehicle: str) -> None:
+    _, cases = STUDY[vehicle]
+    protocol = with_cost(read_protocol(), {"cases": cases} if cases else {})
+    assert {*protocol.tables.cost.cases} <= {*protocol.tables.cases}
 
 
 def test_only_points_that_no_other_betters_are_a_front() -> None:
@@ -83,7 +90,8 @@ def test_points_without_the_margin_go_before_they_hide_others() -> None:
     ("half", "errors", "expected"),
     [
         ([[1.0, 2.0], [1.2, 2.1]], [[1.0, 2.0], [1.04, 2.0]], True),
-        ([[1.0, 2.0], [1.0, 2.0]], [[1.0, 2.0], [1.0, 2.12]], False),  # the seeds differ within one bound
+        ([[1.0, 2.0]] * 3, [[1.0, 2.0], [1.0, 2.09], [1.5, 2.5]], True),  # half of the seeds, as in a tuning
+        ([[1.0, 2.0]] * 3, [[1.0, 2.0], [1.0, 2.11], [1.0, 2.5]], False),  # one seed alone within one bound
         ([[1.06, 2.0], [1.06, 2.0]], [[1.0, 2.0], [1.0, 2.0]], False),  # the second budget has found more
         ([[1.0, 2.0]], [[1.0, 2.0]], False),  # one seed shows nothing
         ([[1.0, math.inf], [1.0, math.inf]], [[1.0, math.inf], [1.0, math.inf]], False),
