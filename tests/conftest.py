@@ -264,12 +264,6 @@ rogue = _built_once_for_each_option("rogue")
 mirror = _built_once_for_each_option("mirror")
 
 
-@pytest.fixture(params=[True, False], ids=["compiled", "plain"])
-def compiled(request: pytest.FixtureRequest) -> bool:
-    """Whether the compiled communication loop runs, or the Python loop."""
-    return request.param
-
-
 @pytest.fixture
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The only place where temporary folders can be."""
