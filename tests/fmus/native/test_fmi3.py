@@ -111,11 +111,11 @@ def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("scalars")
     return {
         block.name: builder.build_block(block, folder, fmi=3, scalars=True)
-        for block in map(block_named, ("RovDepthPlant", BALL.name))
+        for block in map(block_named, ("ExamplePlant", BALL.name))
     }
 
 
-@pytest.mark.parametrize("name", ["RovDepthPlant", BALL.name])
+@pytest.mark.parametrize("name", ["ExamplePlant", BALL.name])
 def test_scalars_are_variables_with_the_numbers_of_the_arrays(
     of_scalars: dict[str, Path], fmi3_built: Fmus, small_built: Fmus, built: Fmus, name: str
 ) -> None:
@@ -132,7 +132,7 @@ def test_scalars_are_variables_with_the_numbers_of_the_arrays(
     assert {m.get("variableName") for m in terminals.iter("TerminalMemberVariable")} <= {*places(path)}
     assert validate_fmu(str(path)) == []
     assert [r.messages for r in examine(path) if r.messages] == []
-    driven = {"it.voltage[2]": 2.0} if name == "RovDepthPlant" else {}
+    driven = {"it.control": 2.0} if name == "ExamplePlant" else {}
     one, other = (
         simulate(System({"it": fmu}), inputs=driven, stop_time=1.0, step_size=0.02, open_inputs="start")
         for fmu in (path, fmi3_built[name])
@@ -142,19 +142,18 @@ def test_scalars_are_variables_with_the_numbers_of_the_arrays(
 
 
 def test_scalars_have_derivatives_of_their_own(of_scalars: dict[str, Path], tmp_path: Path) -> None:
-    """Of the force of a thruster by its voltage, which the other one does not change."""
-    plant = Fmi3Instance(of_scalars["RovDepthPlant"], tmp_path, "ModelExchange").begin()
-    force, voltage = (
-        [plant.reference(n.format(i)) for i in (1, 2)]
-        for n in ("der(state.thruster_force[{}])", "voltage[{}]")
+    """Those of the states by the states are the state matrix, where theta is zero."""
+    plant = Fmi3Instance(of_scalars["ExamplePlant"], tmp_path, "ModelExchange")
+    plant["theta[1]"], plant["theta[2]"] = [0.0], [0.0]
+    plant.begin()
+    rates, states = (
+        [plant.reference(n.format(i)) for i in (1, 2)] for n in ("der(state.x[{}])", "state.x[{}]")
     )
-    slopes = [[plant.fmu.getDirectionalDerivative([f], [v], [1.0], 1)[0] for v in voltage] for f in force]
-    assert slopes[0][0] == slopes[1][1] > 0.0
-    assert slopes[0][1] == slopes[1][0] == 0.0
+    slopes = [[plant.fmu.getDirectionalDerivative([r], [s], [1.0], 1)[0] for s in states] for r in rates]
+    assert slopes == [[0.0, 1.0], [-1.0, -1.4]]
     description = plant.description
-    dependencies = {u.variable.name: {v.name for v in u.dependencies} for u in description.derivatives}
-    assert "voltage[1]" in dependencies["der(state.thruster_force[1])"]
-    assert "voltage[2]" not in dependencies["der(state.thruster_force[1])"]
+    dependencies = {u.variable.name: {v.name for v in u.dependencies} for u in description.outputs}
+    assert dependencies["state[1]"] == {"state.x[1]"}
 
 
 @pytest.mark.parametrize("name", slow_but(WITH_EVENTS[:2], [*builder.block_names(), *WITH_EVENTS]))
