@@ -194,7 +194,7 @@ by_global = [False]
 
 
 class {name}:
-    period = 0.2
+    period = 0.04
     by_class = [False]
 
     def reset(self):

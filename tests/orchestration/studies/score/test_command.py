@@ -25,7 +25,7 @@ COMPARISON = Path(__file__).parents[4] / "docs" / "explanation" / "comparison.js
 
 PROPORTIONAL = """
 class Proportional:
-    period = 0.2
+    period = 0.04
     gain = 8.0
 
     def reset(self):
