@@ -5,7 +5,6 @@ import math
 import re
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from dataclasses import make_dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from fmus.generate.describe import arrays, variable_names
 from fmus.native import toolchain
 from fmus.registry import Flavour
 from orchestration import System, simulate
+from tests.described_fmus import XML, members
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Fmus, slow_but
 
@@ -45,16 +45,16 @@ def test_trajectories_are_those_of_fmi_2_bit_for_bit(
     block = block_named(name)
     old, new = load(built[name]).begin(), open_fmi3(name).begin()
     moved = [v for v in block.of_causality("input") if v.minimum is None and v.type == "Real"]
-    groups = [(group, members) for group, _, members in arrays(block.of_causality("input"))]
+    groups = [(group, elements) for group, _, elements in arrays(block.of_causality("input"))]
     h = block.step_size
     recorded = []
     for i in range(50):
         values = {v.name: math.cos(5.0 * i * h * (k + 1)) for k, v in enumerate(moved)}
         for member, value in values.items():
             old[member] = value
-        for group, members in groups:
-            if {v.name for v in members} <= {*values}:
-                new[group] = [values[v.name] for v in members]
+        for group, elements in groups:
+            if {v.name for v in elements} <= {*values}:
+                new[group] = [values[v.name] for v in elements]
         old.slave.doStep(i * h, h)
         assert new.fmu.doStep(i * h, h) == (False, False, False, (i * h) + h)
         recorded.append(scalars(new, block, "output"))
@@ -85,8 +85,7 @@ WITH_EVENTS = EVERYTHING.name, BALL.name, TANK.name
 
 def places(path: Path) -> dict[str, str]:
     """Name -> place among the variables of an FMU, counted from 1, once it is the value reference."""
-    with zipfile.ZipFile(path) as archive:
-        variables = ElementTree.fromstring(archive.read("modelDescription.xml")).find("ModelVariables")
+    variables = ElementTree.fromstring(members(path)[XML]).find("ModelVariables")
     assert variables is not None
     assert [v.get("valueReference") for v in variables] == [str(i + 1) for i in range(len(variables))]
     return {v.get("name", ""): v.get("valueReference", "") for v in variables}
@@ -124,11 +123,10 @@ def test_scalars_are_variables_with_the_numbers_of_the_arrays(
     old = describe((small_built if name == BALL.name else built)[name])
     others = {v for v in places(path) if v == "time" or v.startswith("event.indicators[")}
     assert {*places(path)} - others == {v.name for v in old.modelVariables}
-    with zipfile.ZipFile(path) as archive:
-        members = {member: archive.read(member) for member in archive.namelist()}
-    assert b"<Dimension" not in members["modelDescription.xml"]
-    assert b"name[1] and name[2]" in members["documentation/index.html"]
-    terminals = ElementTree.fromstring(members["terminalsAndIcons/terminalsAndIcons.xml"])
+    content = members(path)
+    assert b"<Dimension" not in content[XML]
+    assert b"name[1] and name[2]" in content["documentation/index.html"]
+    terminals = ElementTree.fromstring(content["terminalsAndIcons/terminalsAndIcons.xml"])
     assert {m.get("variableName") for m in terminals.iter("TerminalMemberVariable")} <= {*places(path)}
     assert validate_fmu(str(path)) == []
     assert [r.messages for r in examine(path) if r.messages] == []
@@ -175,21 +173,20 @@ def test_fmpy_finds_no_problem_and_simulates_both_interfaces(fmi3_built: Fmus, n
 @pytest.mark.parametrize("name", ["ExamplePlant", EVERYTHING.name, BALL.name])
 def test_the_descriptions_fit_the_schemas_and_the_library(fmi3_built: Fmus, name: str) -> None:
     """FMI 3.0.2, 2.5: files are where it says."""
-    with zipfile.ZipFile(fmi3_built[name]) as archive:
-        members = {member: archive.read(member) for member in archive.namelist()}
+    content = members(fmi3_built[name])
     for path, schema in {
         "modelDescription.xml": "fmi3ModelDescription",
         "sources/buildDescription.xml": "fmi3BuildDescription",
         "terminalsAndIcons/terminalsAndIcons.xml": "fmi3TerminalsAndIcons",
     }.items():
         file = Path(fmpy.__file__).parent / "schema" / "fmi3" / f"{schema}.xsd"
-        etree.XMLSchema(etree.parse(file)).assertValid(etree.fromstring(members[path]))
-    assert {"terminalsAndIcons/icon.png", "documentation/index.html"} <= {*members}
-    assert "extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml" in members
-    assert b"fmi3.c" in members["sources/buildDescription.xml"]
-    assert {"sources/fmi2.c", "model.png"}.isdisjoint(members)
-    terminals = ElementTree.fromstring(members["terminalsAndIcons/terminalsAndIcons.xml"])
-    variables = {v.get("name") for v in ElementTree.fromstring(members["modelDescription.xml"])[-2]}
+        etree.XMLSchema(etree.parse(file)).assertValid(etree.fromstring(content[path]))
+    assert {"terminalsAndIcons/icon.png", "documentation/index.html"} <= {*content}
+    assert "extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml" in content
+    assert b"fmi3.c" in content["sources/buildDescription.xml"]
+    assert {"sources/fmi2.c", "model.png"}.isdisjoint(content)
+    terminals = ElementTree.fromstring(content["terminalsAndIcons/terminalsAndIcons.xml"])
+    variables = {v.get("name") for v in ElementTree.fromstring(content[XML])[-2]}
     assert {m.get("variableName") for m in terminals.iter("TerminalMemberVariable")} <= variables
 
 
