@@ -1,7 +1,8 @@
 """The communication loop over the arrays of `loop_data.py` in Python: the oracle of `loop.c`.
 
-It is its twin, function by function, with the same results to the last bit (run/test_loop.py). At a
-communication point `exchange_and_record` updates every connection and records; `step` leads to the next:
+It has the same results to the last bit (run/test_combinations.py, run/test_loop.py); it measures no times,
+and no component terminates its runs. At a communication point `exchange_and_record` updates every connection
+and records; `step` leads to the next:
 
     Jacobi         all inputs are set, then all components step, then all outputs are read
     Gauss-Seidel   component by component, each with the newest outputs there are
@@ -12,17 +13,15 @@ over a long one.
 """
 
 import ctypes
-import time
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
-from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
+from fmus.fmi.binding import OK, WARNING
 from orchestration.run.loop_data import Call, Calls, InputMode, LoopFunctions, Report, SavedMemory, Wiring
 from orchestration.run.simulator import Simulator
-from orchestration.system.system import System
 
 
 def python_loop(wiring: Wiring) -> LoopFunctions:
@@ -37,23 +36,16 @@ class LoopInPython(Simulator):
     _loop = staticmethod(python_loop)
 
 
-def simulator_of(system: System, compiled: bool) -> Simulator:
-    return (Simulator if compiled else LoopInPython)(system)
-
-
 def run(wiring: Wiring, first: int, last: int) -> int:
     """Steps from communication point `first` to `last`; `last` itself is neither exchanged nor recorded.
 
-    Returns the point reached; if that is before `last`, `report` holds the failure, or the component that
-    terminated the simulation there.
+    Returns the point reached; if that is before `last`, `report` holds the failure.
     """
     for point in range(first, last):
         start, end = wiring.points[point], wiring.points[point + 1]
         if not (exchange_and_record(wiring, point) and step(wiring, point, start, end)):
             return point
         wiring.report[Report.POSITION] = point + 1
-        if wiring.report[Report.TERMINATED]:
-            return point + 1
     return last
 
 
@@ -240,7 +232,6 @@ _exchange_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER, _SIZE, _POINTER)
 _derivatives_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER)
 _state_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER)
 _step_type = ctypes.CFUNCTYPE(_INT, _POINTER, ctypes.c_double, ctypes.c_double, _INT)
-_status_type = ctypes.CFUNCTYPE(_INT, _POINTER, _INT, _POINTER)
 
 
 @cache
@@ -253,27 +244,8 @@ def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     size = fixed_size if fixed_size > 0.0 else end - start
     wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
-    times = wiring.step_times if isinstance(wiring.step_times, np.ndarray) else None
-    before, used = (0.0, 0.0) if times is None else (time.perf_counter(), time.thread_time())
     status = do_step(int(wiring.instances[c]), start, size, 1)
-    if times is not None:
-        times[:, c] += 1.0, time.perf_counter() - before, time.thread_time() - used
-    if status == DISCARD and not wiring.error_logged[c] and _terminates_at(wiring, c, end):
-        wiring.report[Report.TERMINATED] = c + 1
-        status = OK
     return _is_accepted(wiring, Call.DO_STEP, c, 0, status)
-
-
-def _terminates_at(wiring: Wiring, c: int, end: float) -> bool:
-    """Whether component c, which discarded its step, terminates the simulation at the end of this step."""
-    instance, terminated, reached = int(wiring.instances[c]), ctypes.c_int(), ctypes.c_double()
-    get_boolean = _function(_status_type, int(wiring.boolean_status[c]))
-    if get_boolean(instance, TERMINATED, ctypes.addressof(terminated)) != OK or not terminated.value:
-        return False
-    get_real = _function(_status_type, int(wiring.real_status[c]))
-    if get_real(instance, LAST_SUCCESSFUL_TIME, ctypes.addressof(reached)) != OK:
-        return False
-    return abs(reached.value - end) <= 1e-9 * (end - wiring.step_start[c])
 
 
 def _exchange_values(wiring: Wiring, calls: Calls, kind: int, c: int, g: int) -> bool:

@@ -3,16 +3,16 @@
 from typing import Any
 
 from orchestration.results.recording import Recording
+from orchestration.run import Simulator
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.python_loop import simulator_of
 from tests.shared_builds import Build
 
 
-def run(system: System, experiment: Experiment, compiled: bool = True) -> Recording:
-    """Returns the recording of a run, in the compiled communication loop or in Python."""
-    with simulator_of(system, compiled) as loaded:
+def run(system: System, experiment: Experiment) -> Recording:
+    """Returns the recording of a run."""
+    with Simulator(system) as loaded:
         return loaded.run(experiment)
 
 

@@ -26,7 +26,8 @@ def test_the_files_of_our_native_fmus_break_no_rule(built: Fmus, name: str) -> N
     assert static_broken_rules(built[name]) == {}
 
 
-@pytest.mark.parametrize("name", slow_but(["ExamplePlant"], KINDS))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
 def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks_and_are_judged_to_the_end(
     python_built: Fmus, name: str
 ) -> None:

@@ -292,7 +292,8 @@ def test_names_and_expectations_in_messages_are_not_empty(tmp_path: Path) -> Non
 @pytest.mark.skipif(sys.platform != "linux", reason="the environment is read on Linux")
 def test_a_setting_that_was_empty_is_expected_to_stay(tmp_path: Path) -> None:
     path = write_slave(tmp_path, "a changed environment variable", slave="Oscillator")
-    (message,) = broken_rules(path, is_static=False)["process-settings-are-restored"]
+    (result,) = examine(path, names=["process-settings-are-restored"])
+    (message,) = result.messages
     assert message.endswith("changes the environment: TZ=UTC+5, expected no change")
 
 

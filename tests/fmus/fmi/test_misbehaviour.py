@@ -13,13 +13,12 @@ import pytest
 
 from orchestration.errors import FmuWarning, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run import simulate
+from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Delay, DropOut, Effect, Fault, Noise
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.fault_model import received
-from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair, run
 from tests.shared_builds import Build
 
@@ -42,16 +41,16 @@ def system(linear: Build, rogue: Build) -> System:
     return pair(linear, rogue)
 
 
-def failure(system: System, experiment: Experiment, compiled: bool, message: str) -> Recording:
+def failure(system: System, experiment: Experiment, message: str) -> Recording:
     """What was recorded until the failure of this message."""
     with pytest.raises(SimulationError, match=message) as caught:
-        run(system, experiment, compiled)
+        run(system, experiment)
     return caught.value.recording
 
 
-def check_recorded_until(recording: Recording, points: int, system: System, compiled: bool) -> None:
+def check_recorded_until(recording: Recording, points: int, system: System) -> None:
     """The points before the misdeed, as a run without one gives them."""
-    without = run(system, doing(Misdeed.NONE), compiled)
+    without = run(system, doing(Misdeed.NONE))
     assert recording.time.tolist() == without.time[:points].tolist()
     assert np.array_equal(recording.values, without.values[:points])
 
@@ -73,15 +72,14 @@ def test_what_an_fmu_refuses_ends_the_run_and_keeps_the_record(
     linear: Build,
     rogue: Build,
     temporary: Path,
-    compiled: bool,
     misdeed: Misdeed,
     message: str,
     saves_state: bool,
 ) -> None:
     """After a fatal error the rogue ends the process if it is called once more."""
     system = pair(linear, rogue, saves_state)
-    recording = failure(system, doing(misdeed), compiled, message)
-    check_recorded_until(recording, 6, system, compiled)
+    recording = failure(system, doing(misdeed), message)
+    check_recorded_until(recording, 6, system)
     assert not list(temporary.iterdir())
 
 
@@ -92,20 +90,18 @@ def test_what_an_fmu_refuses_ends_the_run_and_keeps_the_record(
         (Misdeed.NO_STATUS_OF_STATE, "status -5: it logged nothing"),
     ],
 )
-def test_a_state_that_is_refused_ends_the_run(
-    system: System, compiled: bool, misdeed: Misdeed, complaint: str
-) -> None:
+def test_a_state_that_is_refused_ends_the_run(system: System, misdeed: Misdeed, complaint: str) -> None:
     """A state is saved at each change of a parameter; when else, depends on how fast the steps are."""
     message = f"rogue at t = 0.5 s: fmi.GetFMU[sS]tate returned {complaint}"
     experiment = replace(doing(misdeed), events=(Event(0.5, {"lag.a": -1.0}),))
-    recording = failure(system, experiment, compiled, message)
+    recording = failure(system, experiment, message)
     assert len(recording.time) == 5
 
 
-def test_a_warning_is_passed_on_and_the_run_goes_on(system: System, compiled: bool) -> None:
+def test_a_warning_is_passed_on_and_the_run_goes_on(system: System) -> None:
     with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi.DoStep: .*the battery is low"):
-        warned = run(system, doing(Misdeed.WARNING), compiled)
-    assert np.array_equal(warned.values, run(system, doing(Misdeed.NONE), compiled).values)
+        warned = run(system, doing(Misdeed.WARNING))
+    assert np.array_equal(warned.values, run(system, doing(Misdeed.NONE)).values)
 
 
 # Outputs that are no numbers
@@ -113,23 +109,23 @@ def test_a_warning_is_passed_on_and_the_run_goes_on(system: System, compiled: bo
 
 @pytest.mark.parametrize(("misdeed", "word"), [(Misdeed.NAN_OUTPUT, "nan"), (Misdeed.INFINITE_OUTPUT, "inf")])
 def test_an_output_that_is_no_number_stops_where_it_goes_on(
-    system: System, compiled: bool, misdeed: Misdeed, word: str
+    system: System, misdeed: Misdeed, word: str
 ) -> None:
     message = rf"rogue.y is {word} at t = 0.6 s: expected a finite number, as it goes to lag.u\[1\]"
-    recording = failure(system, doing(misdeed), compiled, message)
+    recording = failure(system, doing(misdeed), message)
     assert recording.time[-1] == pytest.approx(0.6)
     before = replace(recording, time=recording.time[:6], values=recording.values[:6])
-    check_recorded_until(before, 6, system, compiled)
+    check_recorded_until(before, 6, system)
 
 
 @pytest.mark.parametrize(
     ("misdeed", "value"), [(Misdeed.NAN_OUTPUT, np.nan), (Misdeed.INFINITE_OUTPUT, np.inf)]
 )
 def test_an_output_that_is_no_number_and_goes_nowhere_is_recorded(
-    rogue: Build, compiled: bool, misdeed: Misdeed, value: float
+    rogue: Build, misdeed: Misdeed, value: float
 ) -> None:
     experiment = replace(doing(misdeed), inputs={"rogue.u": 1.0})
-    recording = run(System({"rogue": rogue()}), experiment, compiled)
+    recording = run(System({"rogue": rogue()}), experiment)
     assert recording["rogue.y"][:6] == pytest.approx(np.arange(6) * 0.1)
     assert np.array_equal(recording["rogue.y"][6:], [value] * 5, equal_nan=True)
 
@@ -140,12 +136,12 @@ def test_an_output_that_is_no_number_and_goes_nowhere_is_recorded(
 @pytest.mark.parametrize("algorithm", list(Algorithm))
 @pytest.mark.parametrize("misdeed", DISCARDS)
 def test_a_discarded_step_is_done_in_shorter_ones(
-    system: System, compiled: bool, misdeed: Misdeed, algorithm: Algorithm
+    system: System, misdeed: Misdeed, algorithm: Algorithm
 ) -> None:
     """With a longest step of h / 2 from the start on: as a run with that step size."""
-    halved = run(system, replace(doing(Misdeed.NONE, h=0.05), algorithm=algorithm), compiled)
+    halved = run(system, replace(doing(Misdeed.NONE, h=0.05), algorithm=algorithm))
     discarding = replace(doing(misdeed, 0.0, 0.05), algorithm=algorithm)
-    recording = run(system, discarding, compiled)
+    recording = run(system, discarding)
     assert recording.time == pytest.approx(np.arange(POINTS) * 0.1, rel=1e-15)
     for name in recording.names:
         assert recording[name] == pytest.approx(halved[name][::2], rel=ROUNDING, abs=ROUNDING)
@@ -153,25 +149,20 @@ def test_a_discarded_step_is_done_in_shorter_ones(
 
 
 @FMI_2_ALONE
-def test_the_part_of_a_step_that_succeeded_is_taken(system: System, compiled: bool) -> None:
+def test_the_part_of_a_step_that_succeeded_is_taken(system: System) -> None:
     """0.1 s fails and gives 0.04 s, the rest fails and gives 0.04 s, then the rest."""
-    recording = run(system, doing(Misdeed.DISCARD, 0.5, 0.04), compiled)
+    recording = run(system, doing(Misdeed.DISCARD, 0.5, 0.04))
     assert recording.provenance["steps_between_points"] == 3 * 5
     assert recording.provenance["discarded_steps"] == 2 * 5
     assert len(recording.time) == POINTS
 
 
-def test_a_discarded_step_leaves_no_trace_before_it(system: System, compiled: bool) -> None:
+def test_a_discarded_step_leaves_no_trace_before_it(system: System) -> None:
     discarded, without = (
-        run(system, doing(misdeed, 0.5, 0.04), compiled) for misdeed in (Misdeed.DISCARD, Misdeed.NONE)
+        run(system, doing(misdeed, 0.5, 0.04)) for misdeed in (Misdeed.DISCARD, Misdeed.NONE)
     )
     assert np.array_equal(discarded.values[:6], without.values[:6])
     assert not np.array_equal(discarded.values[6:], without.values[6:])
-
-
-def test_both_loops_discard_alike(system: System) -> None:
-    experiment = doing(Misdeed.DISCARD, 0.3, 0.03)
-    assert np.array_equal(run(system, experiment, True).values, run(system, experiment, False).values)
 
 
 @FMI_2_ALONE
@@ -180,12 +171,12 @@ def test_both_loops_discard_alike(system: System) -> None:
     "effect", [Delay(0.2), DropOut(0.5), Noise(0.1)], ids=lambda effect: type(effect).__name__
 )
 def test_a_fault_acts_once_a_communication_point_also_where_steps_are_shorter(
-    system: System, compiled: bool, effect: Effect, algorithm: Algorithm
+    system: System, effect: Effect, algorithm: Algorithm
 ) -> None:
     fault = Fault("lag.u[1]", effect)
     recorded = ("rogue.y", "lag.u[1]")
     experiment = replace(doing(Misdeed.DISCARD, 0.3, 0.04), faults=(fault,), algorithm=algorithm)
-    recording = run(system, replace(experiment, record=recorded), compiled)
+    recording = run(system, replace(experiment, record=recorded))
     arrived = received(fault, recording.time.round(1).tolist(), recording["rogue.y"].tolist())
     assert recording["lag.u[1]"] == pytest.approx(arrived, rel=ROUNDING)
 
@@ -198,21 +189,19 @@ def test_a_fault_acts_once_a_communication_point_also_where_steps_are_shorter(
     ],
 )
 def test_a_step_that_cannot_be_repeated_ends_the_run(
-    linear: Build, rogue: Build, compiled: bool, options: dict[str, Any], reason: str
+    linear: Build, rogue: Build, options: dict[str, Any], reason: str
 ) -> None:
     system = pair(linear, rogue, **options)
     message = f"rogue at t = 0.5 s: fmi.DoStep returned discard: a step of 0.1 s is too long.*; {reason}"
     message = message.replace("; ", "; no shorter step was tried, as ")
-    recording = failure(system, doing(Misdeed.DISCARD, 0.5, 0.04), compiled, message)
-    check_recorded_until(recording, 6, system, compiled)
+    recording = failure(system, doing(Misdeed.DISCARD, 0.5, 0.04), message)
+    check_recorded_until(recording, 6, system)
 
 
 @pytest.mark.parametrize("misdeed", DISCARDS)
-def test_a_step_that_is_discarded_however_short_ends_the_run(
-    system: System, compiled: bool, misdeed: Misdeed
-) -> None:
+def test_a_step_that_is_discarded_however_short_ends_the_run(system: System, misdeed: Misdeed) -> None:
     message = r"rogue at t = 0.5 s: fmi.DoStep returned discard: a step of .*e-1. s is too long"
-    recording = failure(system, doing(misdeed), compiled, message)
+    recording = failure(system, doing(misdeed), message)
     assert recording.time[-1] == pytest.approx(0.5)
 
 
@@ -222,13 +211,13 @@ LIES = [(Misdeed.TELLS_BEFORE, "0.4"), (Misdeed.TELLS_AFTER, "0.7"), (Misdeed.TE
 @FMI_2_ALONE
 @pytest.mark.parametrize(("misdeed", "reported"), LIES)
 def test_a_last_successful_time_outside_the_step_ends_the_run(
-    system: System, compiled: bool, misdeed: Misdeed, reported: str
+    system: System, misdeed: Misdeed, reported: str
 ) -> None:
     message = (
         rf"rogue discarded the step from 0.5 to 0.6 s and returned LastSuccessfulTime = {reported} s: "
         "expected a time within the step"
     )
-    failure(system, doing(misdeed, 0.5, 0.04), compiled, message)
+    failure(system, doing(misdeed, 0.5, 0.04), message)
 
 
 # In a process of its own
@@ -251,7 +240,7 @@ def test_a_process_of_its_own_ends_with_the_fmu_and_keeps_the_record(
     before = {*psutil.Process().children(recursive=True)}
     with pytest.raises(SimulationError, match=message) as caught:
         simulate(system, doing(misdeed), timeout=1.0)
-    check_recorded_until(caught.value.recording, 6, system, compiled=True)
+    check_recorded_until(caught.value.recording, 6, system)
     assert not list(temporary.iterdir())
     assert {*psutil.Process().children(recursive=True)} <= before
 
@@ -264,12 +253,10 @@ def test_a_process_of_its_own_ends_with_the_fmu_and_keeps_the_record(
     [Misdeed.ERROR, Misdeed.FATAL, Misdeed.NAN_OUTPUT, Misdeed.TELLS_NAN],
     ids=lambda misdeed: misdeed.name,
 )
-def test_the_next_run_of_a_simulator_is_as_if_nothing_had_happened(
-    system: System, compiled: bool, misdeed: Misdeed
-) -> None:
-    with warnings.catch_warnings(), simulator_of(system, compiled) as simulator:
+def test_the_next_run_of_a_simulator_is_as_if_nothing_had_happened(system: System, misdeed: Misdeed) -> None:
+    with warnings.catch_warnings(), Simulator(system) as simulator:
         warnings.simplefilter("error")
         with pytest.raises(SimulationError):
             simulator.run(doing(misdeed))
         again = simulator.run(doing(Misdeed.NONE))
-    assert np.array_equal(again.values, run(system, doing(Misdeed.NONE), compiled).values)
+    assert np.array_equal(again.values, run(system, doing(Misdeed.NONE)).values)

@@ -414,7 +414,12 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(
 
 
 @pytest.mark.parametrize(
-    ("name", "seed"), [("L1HeavePitchController", 6), ("L1DepthController", 4), ("BlueRov2Plant", 8)]
+    ("name", "seed"),
+    [
+        pytest.param("L1HeavePitchController", 6, marks=pytest.mark.slow),
+        ("L1DepthController", 4),
+        ("BlueRov2Plant", 8),
+    ],
 )
 def test_a_block_is_faithful_at_any_random_points(name: str, seed: int) -> None:
     """Where sums cancel, a branch is near, and a derivative is finite in place of a jump."""

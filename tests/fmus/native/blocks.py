@@ -134,11 +134,11 @@ SMALL = {block.name: block for block in (EVERYTHING, ITEMS, BALL, GROWTH, TANK)}
 
 
 def in_fmi3(names: Collection[str]) -> list[Any]:
-    """Returns names as parameters of a test of FMI 3.0, of which all but three blocks are marked slow.
+    """Returns names as parameters of a test of FMI 3.0, of which all but two blocks are marked slow.
 
     The layer is that of FMI 2.0, for which there are tests of more kinds.
     """
-    return slow_but(("ExamplePlant", "RovDepthPlant", "WaveSource"), names)
+    return slow_but(("ExamplePlant", "RovDepthPlant"), names)
 
 
 def block_named(name: str) -> Block:

@@ -4,7 +4,6 @@ import dataclasses
 import math
 import random
 import re
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.registry import BLOCKS, installed
+from tests.described_fmus import members
 from tests.shared_builds import Fmus, one_of_a_kind, slow_but
 
 from .exchanged import BALL, Exchanged, Outputs, Reading, State, euler, heun, rk4
@@ -86,8 +86,7 @@ def test_a_state_that_an_event_may_change_has_reinit(
     small_built: Fmus, name: str, expected: list[str]
 ) -> None:
     """FMI 2.0.5, 2.2.7: a bounce changes the velocity, nothing changes another state."""
-    with zipfile.ZipFile(small_built[name]) as archive:
-        description = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    description = ElementTree.fromstring(members(small_built[name])["modelDescription.xml"])
     variables = description.iterfind("ModelVariables/ScalarVariable[Real]")
     assert [v.get("name") for v in variables if v.find("Real[@reinit]") is not None] == expected
 

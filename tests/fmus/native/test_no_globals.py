@@ -1,13 +1,13 @@
 """Instances of a native FMU have nothing in common: its library holds no memory that can be written."""
 
 import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from fmus.platforms import library_name
+from tests.described_fmus import members
 
 # writable until the loader has put its addresses in, constant from then on
 OF_THE_LOADER = {
@@ -37,8 +37,8 @@ def test_a_library_has_no_memory_of_its_own_and_calls_what_has_none(
     import lief
 
     lief.logging.disable()
-    with zipfile.ZipFile((built if fmi == 2 else fmi3_built)[block]) as archive:
-        library = lief.ELF.parse(io.BytesIO(archive.read(library_name(block, "linux64", fmi))))
+    content = members((built if fmi == 2 else fmi3_built)[block])
+    library = lief.ELF.parse(io.BytesIO(content[library_name(block, "linux64", fmi)]))
     assert library
     writable = lief.ELF.Section.FLAGS.WRITE
     assert {section.name for section in library.sections if writable in section.flags_list} <= OF_THE_LOADER

@@ -1,7 +1,6 @@
 """FMUs whose every variable is a Real, for importers that know no other type."""
 
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +12,7 @@ from fmus.compliance.examine import examine
 from fmus.errors import ExportError
 from fmus.generate import builder
 from fmus.registry import Flavour
+from tests.described_fmus import members
 from tests.mutants.mutant import broken_rules as static_broken_rules
 from tests.shared_builds import Fmus
 
@@ -36,8 +36,7 @@ def test_every_variable_is_a_real_that_names_its_values(reals: Path) -> None:
 
 
 def test_its_page_shows_whole_numbers_where_other_fmus_have_types(reals: Path) -> None:
-    with zipfile.ZipFile(reals) as archive:
-        page = archive.read("documentation/index.html").decode()
+    page = members(reals)["documentation/index.html"].decode()
     cells = dict(
         re.findall(r'>([a-z]+)</td><td [^>]*>[^<]*</td><td data-heading="Unit or type">([^<]*)<', page)
     )
@@ -47,8 +46,7 @@ def test_its_page_shows_whole_numbers_where_other_fmus_have_types(reals: Path) -
 
 def test_what_depends_on_an_item_may_depend_on_all(reals: Path) -> None:
     """An importer that moves Reals at random does not find the dependencies that one item alone has."""
-    with zipfile.ZipFile(reals) as archive:
-        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    root = ElementTree.fromstring(members(reals)["modelDescription.xml"])
     names = [v.get("name") for v in root.iter("ScalarVariable")]
     unknowns = root.findall("ModelStructure/InitialUnknowns/Unknown")
     listed = {names[int(u.get("index", "0")) - 1]: u.get("dependencies") for u in unknowns}

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from fmus.prove.esbmc import bounds
 from fmus.prove.eva import Proof, freed, proof
 from fmus.prove.harness import harness
 from fmus.registry import block_names
+from tests.described_fmus import members
 
 BLOCK = """
 from dataclasses import dataclass
@@ -251,9 +251,9 @@ def test_the_result_is_a_page_inside_the_fmu_with_the_command_that_repeats_it(
     with pytest.raises(typer.Exit) as ended:
         command.prove(["ExamplePlant"], out=tmp_path, fmi=fmi)
     assert ended.value.exit_code == 0
-    with zipfile.ZipFile(tmp_path / "ExamplePlant.fmu") as fmu:
-        page = fmu.read("documentation/proof.html").decode()
-        assert f'fmiVersion="{fmi}.0"' in fmu.read("modelDescription.xml").decode()
+    content = members(tmp_path / "ExamplePlant.fmu")
+    page = content["documentation/proof.html"].decode()
+    assert f'fmiVersion="{fmi}.0"' in content["modelDescription.xml"].decode()
     assert "<code>l1-depth prove ExamplePlant</code>" in page
     assert "<td>ESBMC</td><td>0 of " in page
     # as documentation/index.html has

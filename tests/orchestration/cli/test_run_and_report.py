@@ -138,14 +138,15 @@ def test_a_run_without_room_for_its_recording_is_refused_before_it_begins(
 
 
 def test_a_run_needs_nothing_that_draws_and_says_which_extra_a_figure_needs(
-    command: Command, tmp_path: Path
+    command: Command, short_scenario: Command, tmp_path: Path
 ) -> None:
+    path = str(short_scenario())
     code = f"""
 import sys
 from orchestration.cli.commands import run_command
 sys.modules["matplotlib"] = None
 for formats in ("none", "pdf"):
-    run_command(["run", "nominal-extended", "--formats", formats, "--out", {str(tmp_path / "out")!r}])
+    run_command(["run", {path!r}, "--formats", formats, "--out", {str(tmp_path / "out")!r}])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == "l1-depth: no figure: a figure needs matplotlib: pip install 'l1-depth[figures]'\n"

@@ -130,6 +130,7 @@ EXTRAPOLATED: dict[str, Any] = {
     **EXTRAPOLATED, stepping={"periods": {"two": 2, "three": 3}}, interpolates=True, versions=(2, 2, 2, 2)
 )
 @example(**EXTRAPOLATED, stepping={"tolerance": 2e-2}, interpolates=False, versions=(3, 3, 2))
+@example(**{**EXTRAPOLATED, "misdeed": Misdeed.DISCARD}, stepping={}, interpolates=False, versions=OLD)
 def test_all_loops_agree_and_interrupts_change_nothing(
     linear: Build,
     rogue: Build,

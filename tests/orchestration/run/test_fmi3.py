@@ -24,6 +24,7 @@ from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP
 from tests.orchestration.many import instances as ensembles
+from tests.orchestration.python_loop import LoopInPython
 from tests.orchestration.rogue_systems import doing, run
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build, Fmus
@@ -67,7 +68,9 @@ def test_the_loop_is_the_compiled_one_and_agrees_with_that_in_python(
         return functions
 
     monkeypatch.setattr(Simulator, "_loop", staticmethod(counted))
-    assert_same_bits(run(*dives(3, 3)), run(*dives(3, 3), compiled=False))
+    system, experiment = dives(3, 3)
+    with LoopInPython(system) as plain:
+        assert_same_bits(run(system, experiment), plain.run(experiment))
     assert [function.func for function in ran] == [compiled_loop.library().loop_run]
 
 
@@ -117,30 +120,30 @@ def everything(mirror: Build) -> System:
     return System({"m": mirror(EVERYTHING, saves_state=True, serialises_state=True)})
 
 
-def mirrored(system: System, inputs: dict[str, Any], compiled: bool = True) -> dict[str, list[Any]]:
+def mirrored(system: System, inputs: dict[str, Any]) -> dict[str, list[Any]]:
     """What comes out of the mirror at three points, by name."""
     outputs = [v.name for v in of_causality(describe(system.components["m"]), "output")]
     record = tuple(f"m.{name}" for name in outputs)
     given = {f"m.{name}": value for name, value in inputs.items()}
     experiment = Experiment(0.2, 0.1, inputs=given, open_inputs="start", record=record)
-    recording = run(system, experiment, compiled)
+    recording = run(system, experiment)
     return {name.replace("_out", ""): recording[f"m.{name}"].tolist() for name in outputs}
 
 
-def test_arrays_are_scalars_row_by_row_of_every_type(everything: System, compiled: bool) -> None:
+def test_arrays_are_scalars_row_by_row_of_every_type(everything: System) -> None:
     expected = {name: [start] * 3 for name, start in starts().items()}
-    assert mirrored(everything, {}, compiled) == expected
+    assert mirrored(everything, {}) == expected
 
 
-def test_each_scalar_of_an_array_is_set_alone(everything: System, compiled: bool) -> None:
+def test_each_scalar_of_an_array_is_set_alone(everything: System) -> None:
     """The others keep what they have; of strings too."""
     changes = {"matrix[1,3]": -1.0, "i16[2]": -2, "flag[2]": True, "text[1]": "new", "misdeed": "hang"}
     inputs = {re.sub(r"(\[|$)", r"_in\1", name, count=1): value for name, value in changes.items()}
     expected = starts() | changes | {"flag[2]": 1.0, "misdeed": float(Misdeed.HANG)}
-    assert {name: values[-1] for name, values in mirrored(everything, inputs, compiled).items()} == expected
+    assert {name: values[-1] for name, values in mirrored(everything, inputs).items()} == expected
 
 
-def test_scalars_of_arrays_are_connected_in_any_order(mirror: Build, compiled: bool) -> None:
+def test_scalars_of_arrays_are_connected_in_any_order(mirror: Build) -> None:
     fmu = mirror(EVERYTHING)
     order = ["[2,3]", "[1,1]", "[2,1]", "[1,2]", "[2,2]", "[1,3]"]
     pairs = [(f"one.matrix_out{i}", f"two.matrix_in{j}") for i, j in pairwise([*order, order[0]])]
@@ -148,13 +151,13 @@ def test_scalars_of_arrays_are_connected_in_any_order(mirror: Build, compiled: b
     pairs += [("one.u8_out", "two.level_in"), ("one.flag_out[1]", "two.flag_in[2]")]
     record = tuple(target.replace("_in", "_out") for _, target in pairs)
     experiment = Experiment(0.3, 0.1, open_inputs="start", record=record)
-    recording = run(System({"one": fmu, "two": fmu}, pairs), experiment, compiled)
+    recording = run(System({"one": fmu, "two": fmu}, pairs), experiment)
     for source, target in pairs:
         start = starts()[source.partition(".")[2].replace("_out", "")]
         assert recording[target.replace("_in", "_out")].tolist() == [start] * 4
 
 
-def test_an_array_follows_a_signal_and_a_change_of_one_scalar(everything: System, compiled: bool) -> None:
+def test_an_array_follows_a_signal_and_a_change_of_one_scalar(everything: System) -> None:
     experiment = Experiment(
         0.5,
         0.1,
@@ -163,7 +166,7 @@ def test_an_array_follows_a_signal_and_a_change_of_one_scalar(everything: System
         open_inputs="start",
         record=("m.single_out[1]", "m.single_out[2]", "m.single_in[2]"),
     )
-    recording = run(everything, experiment, compiled)
+    recording = run(everything, experiment)
     assert recording["m.single_out[1]"].tolist() == [0.25, 0.25, 0.25, 4.0, 4.0, 4.0]
     singles = recording["m.single_in[2]"].astype(np.float32)
     assert recording["m.single_out[2]"][1:].tolist() == singles[:-1].tolist()
@@ -207,12 +210,12 @@ WIDE_AND_NARROW = {
     ],
 )
 def test_a_number_that_an_input_cannot_hold_ends_the_run(
-    mirror: Build, compiled: bool, source: str, target: str, message: str
+    mirror: Build, source: str, target: str, message: str
 ) -> None:
     fmu = mirror(WIDE_AND_NARROW)
     system = System({"one": fmu, "two": fmu}, ((f"one.{source}", f"two.{target}"),))
     with pytest.raises(SimulationError, match=f"two at t = 0 s: {message}"):
-        run(system, Experiment(0.2, 0.1, open_inputs="start"), compiled)
+        run(system, Experiment(0.2, 0.1, open_inputs="start"))
 
 
 def test_an_integer_beyond_those_of_the_master_is_refused(mirror: Build) -> None:
@@ -316,26 +319,26 @@ def test_a_step_reaches_a_time_within_it(
     ],
 )
 def test_a_step_that_ends_in_a_way_that_was_not_allowed_ends_the_run(
-    mirror: Build, compiled: bool, macro: str, message: str
+    mirror: Build, macro: str, message: str
 ) -> None:
     system = System({"m": mirror({"x": ("Float64", "1")}, {macro: 0.25})})
     with pytest.raises(
         SimulationError, match=f"m at t = 0.3 s: fmi3DoStep returned error: {message}"
     ) as caught:
-        run(system, Experiment(1.0, 0.1, open_inputs="start"), compiled)
+        run(system, Experiment(1.0, 0.1, open_inputs="start"))
     assert caught.value.recording.time[-1] == pytest.approx(0.3)
 
 
-def test_errors_name_the_functions_of_fmi_3(rogue: Build, compiled: bool) -> None:
+def test_errors_name_the_functions_of_fmi_3(rogue: Build) -> None:
     system = System({"rogue": rogue(fmi=3)})
     for misdeed, message in (
         (Misdeed.ERROR, "rogue at t = 0.5 s: fmi3DoStep returned error: the rudder is stuck"),
         (Misdeed.REFUSE_INPUT, "fmi3SetFloat64 returned discard: no input is taken any more"),
     ):
         with pytest.raises(SimulationError, match=message):
-            run(system, replace(doing(misdeed), signals={"rogue.u": Cosine(1.0, 3.0)}), compiled)
+            run(system, replace(doing(misdeed), signals={"rogue.u": Cosine(1.0, 3.0)}))
     with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi3DoStep: the battery is low"):
-        run(system, replace(doing(Misdeed.WARNING), inputs={"rogue.u": 1.0}), compiled)
+        run(system, replace(doing(Misdeed.WARNING), inputs={"rogue.u": 1.0}))
 
 
 # Runs of every kind

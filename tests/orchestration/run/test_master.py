@@ -73,12 +73,12 @@ def test_a_slave_of_pythonfmu_that_returns_false_terminates_the_simulation(
     [("Fails", "error", "the rudder is stuck"), ("Raises", "fatal", "the hull is breached")],
 )
 def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
-    foreign: Mapping[str, Path], temporary: Path, name: str, status: str, words: str, compiled: bool
+    foreign: Mapping[str, Path], temporary: Path, name: str, status: str, words: str
 ) -> None:
     """Also one whose discarded step PythonFMU calls an end, if it has logged an error."""
     message = rf"bad at t = 0.5 s: fmi2DoStep returned {status}: .*{words}"
     with pytest.raises(SimulationError, match=message) as caught:
-        run(System({"bad": foreign[name]}), Experiment(1.0, 0.1), compiled)
+        run(System({"bad": foreign[name]}), Experiment(1.0, 0.1))
     recording = caught.value.recording
     assert recording.time == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     assert recording["bad.y"] == pytest.approx(recording.time)

@@ -13,7 +13,6 @@ from orchestration.system.experiment import AlgorithmName, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import RESUMABLE, coupled
-from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build, Fmus
@@ -38,10 +37,10 @@ def steps(statistics: dict[str, Any]) -> dict[str, int]:
 
 @pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
 def test_every_step_is_counted_and_all_times_lie_within_the_run(
-    linear: Build, compiled: bool, algorithm: AlgorithmName
+    linear: Build, algorithm: AlgorithmName
 ) -> None:
     experiment = Experiment(1.0, 0.1, algorithm=algorithm, step_sizes={"two": 0.3})
-    with simulator_of(coupled(linear), compiled) as simulator:
+    with Simulator(coupled(linear)) as simulator:
         plain = simulator.run(experiment)
         simulator.close()
         before = time.perf_counter()
@@ -64,11 +63,11 @@ def test_every_step_is_counted_and_all_times_lie_within_the_run(
     assert again["phases_s"]["loading"] < found["phases_s"]["loading"]  # FMUs that were loaded are reset
 
 
-def test_time_is_that_of_the_fmu_that_takes_it(linear: Build, tmp_path: Path, compiled: bool) -> None:
+def test_time_is_that_of_the_fmu_that_takes_it(linear: Build, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     fmus = {"quick": linear(), "slow": f"{tmp_path / 'slow.py'}:Slow"}
     system = System(fmus, [("quick.y[1]", "slow.u"), ("slow.y", "quick.u[1]")])
-    with simulator_of(system, compiled) as simulator:
+    with Simulator(system) as simulator:
         found = simulator.run(EXPERIMENT, statistics=True).provenance["statistics"]
     assert found["fmus"]["slow"]["wall_s"] >= 9 * SLOW_S  # the first sample may be in the initialisation
     quick = found["fmus"]["quick"]["wall_s"] + found["rest_of_loop_s"]

@@ -15,7 +15,6 @@ from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Event, Experiment
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import alone, coupled
-from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
@@ -68,11 +67,9 @@ def recorded(linear: Build, *forces: float) -> Recording:
     ],
     ids=["extrapolation", "fault", "events", "tolerance"],
 )
-def test_a_run_that_goes_back_at_every_third_step_is_the_run(
-    linear: Build, options: Any, compiled: bool
-) -> None:
+def test_a_run_that_goes_back_at_every_third_step_is_the_run(linear: Build, options: Any) -> None:
     experiment = Experiment(1.0, 0.1, **options)
-    with simulator_of(coupled(linear, saves_state=True), compiled) as simulator:
+    with Simulator(coupled(linear, saves_state=True)) as simulator:
         expected = simulator.run(experiment)
         run = simulator.start(experiment)
         while run.time < 0.75:

@@ -19,7 +19,6 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import alone, coupled
-from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits, interrupt_at
 from tests.shared_builds import Build
@@ -63,10 +62,10 @@ def forced(one: Simulator) -> Run:
     ids=["plain", "extrapolation", "events", "fault", "step sizes", "tolerance"],
 )
 def test_steps_make_the_recording_of_a_run(
-    linear: Build, algorithm: Any, options: Any, capabilities: Any, compiled: bool
+    linear: Build, algorithm: Any, options: Any, capabilities: Any
 ) -> None:
     experiment = Experiment(1.0, 0.1, algorithm=algorithm, **options)
-    with simulator_of(coupled(linear, **capabilities), compiled) as simulator:
+    with Simulator(coupled(linear, **capabilities)) as simulator:
         expected = simulator.run(experiment)
         steps = stepped(simulator, experiment)
     assert_same_bits(steps, expected)

@@ -17,7 +17,7 @@ import pytest
 from pythonfmu.builder import FmuBuilder
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
-from orchestration.run import simulate
+from orchestration.run import Simulator, simulate
 from orchestration.run import subprocess_run as apart
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.run.loop_data import Report, Storage
@@ -25,7 +25,6 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import RESUMABLE, alone, coupled
-from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import doing, pair
 from tests.orchestration.runs import assert_same_bits
 from tests.shared_builds import Build
@@ -110,7 +109,7 @@ def test_an_interrupt_at_the_terminal_does_not_cut_off_a_checkpoint(linear: Buil
     script = f"""
         import time
         from orchestration.errors import SimulationError
-        from orchestration.run import simulate
+        from orchestration.run import Simulator, simulate
         from orchestration.run.checkpoint import Checkpoints
         from orchestration.system.system import System
 
@@ -226,10 +225,10 @@ def test_shorter_steps_between_two_points_each_count_alone(rogue: Build) -> None
     assert recording["rogue.y"][-1] == pytest.approx(1.0, abs=1e-9)  # rounding of 5e4 sums
 
 
-def test_every_call_is_counted(linear: Build, compiled: bool) -> None:
+def test_every_call_is_counted(linear: Build) -> None:
     """In the loop and outside: each has a time limit of its own."""
     storage = Storage(np.empty((11, 2)), np.zeros(len(Report), np.int64))
-    with simulator_of(alone(linear), compiled) as simulator:
+    with Simulator(alone(linear)) as simulator:
         simulator.run(Experiment(1.0, 0.1, signals={"one.u[1]": lambda t: t}), storage=storage)
     initial = ["setup", "enter initialisation mode", "set the input", "leave it", "read"]
     each, last = ["write", "step", "read"], ["end", "free"]

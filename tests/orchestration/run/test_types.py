@@ -11,7 +11,7 @@ from orchestration.errors import OrchestrationError, ScenarioError, SimulationEr
 from orchestration.results import metrics
 from orchestration.results.figures import run_figure
 from orchestration.results.recording import Recording
-from orchestration.run import simulate
+from orchestration.run import Simulator, simulate
 from orchestration.run.bus import Strings
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.system.experiment import Event, Experiment
@@ -19,7 +19,6 @@ from orchestration.system.faults import Delay, Fault, Stuck
 from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
 from tests import foreign_pythonfmu
-from tests.orchestration.python_loop import simulator_of
 from tests.orchestration.rogue_systems import run
 from tests.shared_builds import Build
 
@@ -34,10 +33,10 @@ def driven(**signals: Signal) -> Experiment:
     return Experiment(0.5, 0.1, signals=signals_by_name, open_inputs="start")
 
 
-def test_integers_and_booleans_follow_signals(linear: Build, compiled: bool) -> None:
+def test_integers_and_booleans_follow_signals(linear: Build) -> None:
     steps = Table([0.0, 0.2, 0.4], [3, -7, 2**31 - 1], hold=True)
     signals: dict[str, Signal] = {"integer_in": steps, "boolean_in": lambda t: t > 0.25}
-    recording = run(passing(linear), driven(**signals), compiled)
+    recording = run(passing(linear), driven(**signals))
     assert recording["p.integer_in"].tolist() == [3, 3, -7, -7, 2**31 - 1, 2**31 - 1]
     assert recording["p.boolean_in"].tolist() == [0, 0, 0, 1, 1, 1]
     for name in ("integer", "boolean"):
@@ -45,9 +44,9 @@ def test_integers_and_booleans_follow_signals(linear: Build, compiled: bool) -> 
         assert recording[f"p.{name}_out"][1:].tolist() == recording[f"p.{name}_in"][:-1].tolist()
 
 
-def test_a_table_of_an_integer_or_a_boolean_holds(linear: Build, compiled: bool) -> None:
+def test_a_table_of_an_integer_or_a_boolean_holds(linear: Build) -> None:
     signals = {"integer_in": Table([0.0, 0.2], [3, -8]), "boolean_in": Table([0.0, 0.25, 0.25], [0, 0, 1])}
-    recording = run(passing(linear), driven(**signals), compiled)
+    recording = run(passing(linear), driven(**signals))
     assert recording["p.integer_in"].tolist() == [3, 3, -8, -8, -8, -8]
     assert recording["p.boolean_in"].tolist() == [0, 0, 0, 1, 1, 1]
 
@@ -72,18 +71,16 @@ def test_a_signal_that_its_input_cannot_have_is_refused(
         simulate(passing(linear), driven(**{name: signal}))
 
 
-def test_signals_of_integers_hold_between_communication_points(
-    linear: Build, rogue: Build, compiled: bool
-) -> None:
+def test_signals_of_integers_hold_between_communication_points(linear: Build, rogue: Build) -> None:
     """A tolerance makes more steps, at whose beginnings this signal is no integer."""
     system = System({"p": linear(b=(), d=((),), passes_discrete=True, saves_state=True)})
     experiment = replace(driven(integer_in=lambda t: round(10.0 * t, 9)), tolerance=1e-6)
-    assert run(system, experiment, compiled)["p.integer_in"].tolist() == [0, 1, 2, 3, 4, 5]
+    assert run(system, experiment)["p.integer_in"].tolist() == [0, 1, 2, 3, 4, 5]
 
 
-def test_an_integer_output_drives_a_real_input(linear: Build, stair: Build, compiled: bool) -> None:
+def test_an_integer_output_drives_a_real_input(linear: Build, stair: Build) -> None:
     system = System({"stair": stair(), "lag": linear(a=0.0)}, (("stair.counter", "lag.u[1]"),))
-    recording = run(system, Experiment(3.0, 0.5, extrapolation=1, record=("lag.u[1]", "lag.y[1]")), compiled)
+    recording = run(system, Experiment(3.0, 0.5, extrapolation=1, record=("lag.u[1]", "lag.y[1]")))
     assert recording["lag.u[1]"].tolist() == [1, 1, 2, 2, 3, 3, 4]
     assert recording["lag.y[1]"] == pytest.approx(1.0 + np.array([0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.0]))
 
@@ -125,11 +122,11 @@ CHANGE = Event(0.2, {"one.entry": "Tuesday ä", "one.gain": 3.0})
 MONDAY = Experiment(0.4, 0.1, inputs={"one.entry": "Mon,day"}, events=(CHANGE,), record=RECORD)
 
 
-def test_strings_are_connected_and_recorded(foreign: Mapping[str, Path], compiled: bool) -> None:
+def test_strings_are_connected_and_recorded(foreign: Mapping[str, Path]) -> None:
     """Beside them local variables and parameters: an event's value from its time on, and what an FMU
     computes of it after the next step.
     """
-    recording = run(diaries(foreign), MONDAY, compiled)
+    recording = run(diaries(foreign), MONDAY)
     assert recording["one.entry"].tolist() == ["Mon,day", "Mon,day", "Tuesday ä", "Tuesday ä", "Tuesday ä"]
     assert recording["one.page"].tolist() == ["begun", "Mon,day|", "Mon,day|", "Tuesday ä|", "Tuesday ä|"]
     assert recording["two.entry"].tolist() == recording["one.page"].tolist()
@@ -139,10 +136,8 @@ def test_strings_are_connected_and_recorded(foreign: Mapping[str, Path], compile
     assert recording["one.length"].tolist() == [0, 16, 16, 30, 30]
 
 
-def test_a_string_that_is_recorded_can_be_read_at_every_point(
-    foreign: Mapping[str, Path], compiled: bool
-) -> None:
-    with simulator_of(diaries(foreign), compiled) as simulator:
+def test_a_string_that_is_recorded_can_be_read_at_every_point(foreign: Mapping[str, Path]) -> None:
+    with Simulator(diaries(foreign)) as simulator:
         run = simulator.start(MONDAY)
         run.step()
         assert (run.read("one.page"), run.read("one.length")) == ("Mon,day|", 16)
@@ -193,9 +188,9 @@ def test_a_stopped_run_that_records_nothing_has_its_times_in_a_process_too(
     assert caught.value.recording.time[-1] == MONDAY.stop_time
 
 
-def test_a_delayed_string_arrives_late_and_none_is_stuck(foreign: Mapping[str, Path], compiled: bool) -> None:
+def test_a_delayed_string_arrives_late_and_none_is_stuck(foreign: Mapping[str, Path]) -> None:
     delayed = replace(MONDAY, faults=(Fault("two.entry", Delay(0.1)),))
-    recording = run(diaries(foreign), delayed, compiled)
+    recording = run(diaries(foreign), delayed)
     assert recording["two.entry"][1:].tolist() == recording["one.page"][:-1].tolist()
     with pytest.raises(SystemDefinitionError, match="Stuck: expected an input that is a number"):
         run(diaries(foreign), replace(MONDAY, faults=(Fault("two.entry", Stuck(1.0)),)))

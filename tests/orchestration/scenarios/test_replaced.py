@@ -1,7 +1,6 @@
 """A component of a scenario is replaced by another FMU: what it inherits, and what is left out."""
 
 import shutil
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 from orchestration.system.quantities import StatedValue
-from tests.described_fmus import described
+from tests.described_fmus import described, redescribed
 
 INPUTS = ("depth_reference", "measured_depth")
 VOLTAGES = ("voltage[1]", "voltage[2]")
@@ -190,13 +189,10 @@ def test_a_shipped_base_has_a_name(tmp_path: Path) -> None:
 
 def test_what_the_new_fmu_can_take_is_not_dropped_for_its_causality(tmp_path: Path) -> None:
     """Any variable can be recorded, and an output with initial = "exact" has a start value to set."""
-    fmu = described(tmp_path / "pid.fmu", INPUTS, VOLTAGES, ("internal_step", "u_m"))
-    with zipfile.ZipFile(fmu) as archive:
-        text = archive.read("modelDescription.xml").decode()
-    with zipfile.ZipFile(fmu, "w") as archive:
-        parameter, output = 'parameter" variability="tunable"', 'output" variability="continuous"'
-        first = text.replace(parameter, f'{output} initial="exact"', 1)
-        archive.writestr("modelDescription.xml", first)
+    plain = described(tmp_path / "plain.fmu", INPUTS, VOLTAGES, ("internal_step", "u_m"))
+    parameter, output = 'parameter" variability="tunable"', 'output" variability="continuous"'
+    exact = f'{output} initial="exact"'
+    fmu = redescribed(plain, tmp_path / "pid.fmu", lambda xml: xml.replace(parameter, exact, 1))
     loaded = scenario.load(child(tmp_path), settings={"controller": str(fmu)})
     assert loaded.experiment.parameters["controller.internal_step"] == 0.02
     assert "controller.u_m" in loaded.experiment.record

@@ -1,7 +1,6 @@
 """What a user reads inside an FMU: complete, well-formed, without the network, and licensed."""
 
 import re
-import zipfile
 from dataclasses import replace
 from importlib.metadata import distribution
 from pathlib import Path
@@ -16,6 +15,7 @@ from fmus.errors import number_text
 from fmus.generate import builder
 from fmus.generate.documentation.page import documentation
 from fmus.generate.documentation.wiring import declared_variables
+from tests.described_fmus import members
 from tests.shared_builds import Fmus
 
 NAMES = builder.block_names()
@@ -120,11 +120,10 @@ def test_a_guide_names_nothing_that_the_block_does_not_have(name: str) -> None:
 
 
 def test_links_within_the_fmu_lead_somewhere(either: dict[str, Path]) -> None:
-    with zipfile.ZipFile(either["ExamplePlant"]) as archive:
-        members = archive.namelist()
+    names = members(either["ExamplePlant"])
     for link in LINKS_INSIDE:
         target = link.removeprefix("../") if link.startswith("../") else f"documentation/{link}"
-        assert any(member.startswith(target) for member in members), f"{link} leads nowhere"
+        assert any(name.startswith(target) for name in names), f"{link} leads nowhere"
 
 
 def test_what_a_guide_says_is_text_and_not_markup() -> None:
@@ -147,12 +146,11 @@ def test_a_block_without_a_guide_is_documented_by_its_variables() -> None:
 def test_the_licence_of_everything_inside_is_inside(built: Fmus, python_built: Fmus) -> None:
     def licences(path: Path) -> dict[str, str]:
         folder = "documentation/licenses/"
-        with zipfile.ZipFile(path) as archive:
-            members = [member for member in archive.namelist() if member.startswith(folder)]
-            return {
-                member.removeprefix(folder).removesuffix(".txt"): archive.read(member).decode()
-                for member in members
-            }
+        return {
+            name.removeprefix(folder).removesuffix(".txt"): content.decode()
+            for name, content in members(path).items()
+            if name.startswith(folder)
+        }
 
     native, python = licences(built["ExamplePlant"]), licences(python_built["ExamplePlant"])
     for licences_inside in (native, python):
@@ -170,11 +168,9 @@ def test_the_licence_of_everything_inside_is_inside(built: Fmus, python_built: F
 
 def test_the_page_names_the_interfaces_that_the_archive_has(built: Fmus, python_built: Fmus) -> None:
     for fmus, text in ((built, "co-simulation and model exchange"), (python_built, "co-simulation")):
-        with zipfile.ZipFile(fmus["ExamplePlant"]) as archive:
-            description = archive.read("modelDescription.xml").decode()
-            page = archive.read("documentation/index.html").decode()
-        assert f"An FMU of FMI 2.0 for {text}, made by" in page
-        assert ("<ModelExchange" in description) == ("model exchange" in text)
+        content = members(fmus["ExamplePlant"])
+        assert f"An FMU of FMI 2.0 for {text}, made by" in content["documentation/index.html"].decode()
+        assert (b"<ModelExchange" in content["modelDescription.xml"]) == ("model exchange" in text)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -4,7 +4,6 @@ import csv
 import io
 import itertools
 import re
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -29,6 +28,7 @@ from fmus.generate.documentation.reference_results import (
     reference_run,
 )
 from fmus.registry import Flavour
+from tests.described_fmus import members
 from tests.mutants.mutant import broken_rules
 from tests.shared_builds import KINDS, one_of_a_kind
 
@@ -144,9 +144,9 @@ def test_the_options_are_those_that_the_cross_check_requires(folder: Path, name:
 def test_the_manifest_describes_every_file_of_the_layered_standard(
     either: dict[str, Path], name: str
 ) -> None:
-    with zipfile.ZipFile(either[name]) as archive:
-        files = {m.removeprefix(f"extra/{LS_REF}/") for m in archive.namelist() if m.startswith("extra/")}
-        manifest = ElementTree.fromstring(archive.read(f"extra/{LS_REF}/fmi-ls-manifest.xml"))
+    content = members(either[name])
+    files = {m.removeprefix(f"extra/{LS_REF}/") for m in content if m.startswith("extra/")}
+    manifest = ElementTree.fromstring(content[f"extra/{LS_REF}/fmi-ls-manifest.xml"])
     related = {str(entry.get("source")): str(entry.get("role")) for entry in manifest}
     assert manifest.tag == "fmiReferences"
     assert set(related) | {"fmi-ls-manifest.xml"} == files
@@ -158,11 +158,10 @@ def test_the_manifest_describes_every_file_of_the_layered_standard(
 
 def test_the_experiment_inside_is_the_one_beside(built: Mapping[str, Path], folder: Path, name: str) -> None:
     prefix = f"extra/{LS_REF}/{name}"
-    with zipfile.ZipFile(built[name]) as archive:
-        (experiment,) = ElementTree.fromstring(archive.read(f"{prefix}.exp"))
-        tables = {entry.get("source") for entry in experiment if entry.get("source")}
-        for file in tables:
-            assert archive.read(f"extra/{LS_REF}/{file}") == (folder / str(file)).read_bytes()
+    content = members(built[name])
+    (experiment,) = ElementTree.fromstring(content[f"{prefix}.exp"])
+    for file in {entry.get("source") for entry in experiment if entry.get("source")}:
+        assert content[f"extra/{LS_REF}/{file}"] == (folder / str(file)).read_bytes()
     settings = experiment.find("TransientSimulation")
     assert settings is not None
     assert settings.get("stopTime") == options(folder, name)["StopTime"]
@@ -286,7 +285,6 @@ NUMPY = Block.of_module(
 
 
 def test_no_file_of_an_fmu_has_a_number_in_the_words_of_numpy(tmp_path: Path) -> None:
-    with zipfile.ZipFile(builder.build_block(NUMPY, tmp_path)) as fmu:
-        texts = {name: fmu.read(name) for name in fmu.namelist() if not name.startswith("binaries/")}
-    assert [name for name, content in texts.items() if b"np." in content] == []
+    texts = members(builder.build_block(NUMPY, tmp_path)).items()
+    assert [n for n, text in texts if b"np." in text and not n.startswith("binaries/")] == []
     assert broken_rules(tmp_path / "Numpy.fmu") == {}

@@ -14,7 +14,7 @@ TEXT = (Path(__file__).parents[4] / "docs" / "explanation" / "margins.md").read_
 
 @cache
 def metrics(name: str, measured: bool) -> dict[str, Metric]:
-    judged = judge(scenario.load(scenario.find(name)), measured=measured, certificate=True).metrics
+    judged = judge(scenario.load(scenario.find(name)), measured=measured).metrics
     return {f"{metric.group}: {metric.name}": metric for metric in judged}
 
 

@@ -58,11 +58,11 @@ def _compiled(path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
 
 
 @pytest.fixture
-def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
+def plants_of(monkeypatch: pytest.MonkeyPatch) -> Scored:
     """What a row has of its plants, and how many runs were made at once in its process."""
 
     def score_plants(
-        controller: Controller, is_compiled: bool, crashes: bool = False
+        controller: Controller, path: Path, is_compiled: bool = True, crashes: bool = False
     ) -> tuple[ManyRuns, list[int]]:
         groups: list[int] = []
         made = Isolated._made
@@ -83,7 +83,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
             result = score_controllers(
                 [controller], read_protocol(path), full=True, seed=5, progress=done.append
             )
-        assert sum(done) == 1 + COUNT
+        assert sum(done) == 1 + read_protocol(path).tables.plants.count
         assert result.document.rows[0].plants is not None
         return result.document.rows[0].plants, groups
 
@@ -92,29 +92,30 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_compiled")
-def test_plants_in_ensembles_have_the_metrics_and_failures_of_single_runs(plants_of: Scored) -> None:
+def test_plants_in_ensembles_have_the_metrics_and_failures_of_single_runs(
+    plants_of: Scored, path: Path
+) -> None:
     """Also those that cannot begin or go on, whose reasons are found by a simulator; and after a crash."""
-    alone, groups = plants_of(MINE, is_compiled=False)
+    alone, groups = plants_of(MINE, path, is_compiled=False)
     assert groups == [1] * (1 + COUNT)
     reasons = " ".join(reason for of_plant in alone.failed.values() for reason in of_plant)
     for expected in ("expected net_weight below weight", "not finite any more", "not settled"):
         assert expected in reasons
-    together, groups = plants_of(MINE, is_compiled=True)
+    together, groups = plants_of(MINE, path)
     assert together.model_dump_json() == alone.model_dump_json()
     assert groups == [1, 8, 8, 3]
-    crashed, groups = plants_of(MINE, is_compiled=True, crashes=True)
+    crashed, groups = plants_of(MINE, path, crashes=True)
     assert crashed.model_dump_json() == alone.model_dump_json()
     assert sorted(groups) == [1] * (1 + COUNT) + [3, 8, 8]
 
 
-def test_plants_of_a_controller_of_another_tool_run_alone(plants_of: Scored, rogue: Build) -> None:
-    mapping = {"depth_reference": "u", "control_force": "y"}
-    parameters = {"misdeed": Misdeed.ERROR.name.lower(), "misdeed_time": 1.0}
-    result, groups = plants_of(
-        Controller("rogue", str(rogue()), parameters=parameters, mapping=mapping), True
-    )
+def test_plants_of_a_controller_of_another_tool_run_alone(
+    plants_of: Scored, protocol: Protocol, small_protocol: Callable[..., Path], rogue: Build
+) -> None:
+    path = small_protocol(cases={"nominal": protocol.file.data["cases"]["nominal"]}, controllers={})
+    result, groups = plants_of(rogue_doing(rogue(), Misdeed.ERROR), path)
     assert result.failure_rate == 1.0
-    assert groups == [1] * (1 + COUNT)
+    assert groups == [1] * (1 + 3)
 
 
 GAINS = [
