@@ -58,6 +58,8 @@ _FOR_ONE_INTERFACE: dict[int, tuple[list[Any], list[Any]]] = {
     CO_SIMULATION: ([_FLAG, _FLAG, _POINTER, _SIZE], [_POINTER]),
     MODEL_EXCHANGE: ([], []),
 }
+# `Element` of the source
+_ELEMENT = np.dtype([(name, "f8" if name == "start" else "i8") for name in Element._fields])
 _Log = ctypes.CFUNCTYPE(None, _POINTER, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _log = _Log(
     lambda environment, status, category, text: log_message(environment, None, status, category, text)
@@ -98,7 +100,7 @@ class Fmi3Library(Library):
             raise AttributeError(f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0")
         functions = (getattr(self._functions, f"fmi3{name}", 0) for name in _FUNCTIONS)
         addresses = [ctypes.cast(function, _POINTER).value or 0 for function in functions]
-        self._addresses, self._elements = np.array(addresses, np.int64), np.array(elements, np.int64)
+        self._addresses, self._elements = np.array(addresses, np.int64), np.array(elements, _ELEMENT)
         self._instantiate = getattr(self._functions, self.instantiates)
         self._instantiate.restype = _POINTER
         before, after = _FOR_ONE_INTERFACE[interface]

@@ -144,17 +144,36 @@ def test_a_real_is_set_within_the_range_of_single_precision_or_infinite(path: Pa
 
 @pytest.mark.parametrize(("macro", "part"), [("AFTER_SET", 1), ("AFTER_GET", 1), ("AFTER_SET", 2)])
 def test_a_warning_and_a_discard_of_one_call_are_those_of_all(mirror: Build, macro: str, part: int) -> None:
-    """part: how many of two scalars are set; a part of an array is read first."""
+    """part: how many of two scalars are set; a part of an array is read first, after initialization."""
     function = "fmi3SetFloat64" if macro == "AFTER_SET" else "fmi3GetFloat64"
     pairs = dict.fromkeys(("warned", "discarded"), ("Float64", "[1] 1.5 [2] 2.5"))
     path = mirror(pairs, {f"{macro}(status)": "((void)(status), vr[0] == 1000 ? fmi2Warning : fmi2Discard)"})
     description = describe(path)
     inputs = of_causality(description, "input")
     with FmuInstance("m", path, description) as instance:
+        instance.initialise(0.0, None)
         with pytest.warns(FmuWarning, match=f"{function}: it logged nothing"):
             instance.set_all((v, 3.5) for v in inputs[:part])
         with pytest.raises(FmuError, match=f"{function} returned discard"):
             instance.set_all((v, 3.5) for v in inputs[2 : 2 + part])
+
+
+def test_a_part_of_an_array_is_set_before_initialization_where_no_value_can_be_read(mirror: Build) -> None:
+    """2.3.3: the table has fmi3Get when instantiated, the list of allowed calls does not; FMUs refuse it."""
+    pairs = {"row": ("Float64", "[1] 1.5 [2] 2.5 [3] 3.5"), "flag": ("Boolean", "[1] 1 [2] 0")}
+    path = mirror(pairs, {"AFTER_GET(status)": "(f->slave->data.mode & INSTANTIATED ? fmi2Error : (status))"})
+    description = describe(path)
+    by_name = {v.name: v for v in description.modelVariables}
+    with FmuInstance("m", path, description) as instance:
+        for expected in ([1.5, 7.5, 8.5], [6.5, 2.5, 3.5]):
+            starts = zip((1.5, 2.5, 3.5), expected, (1, 2, 3), strict=True)
+            for number in [i for old, new, i in starts if old != new]:
+                instance.set(by_name[f"row_in[{number}]"], expected[number - 1])
+            instance.set(by_name["flag_in[2]"], True)
+            instance.initialise(0.0, None)
+            assert [instance.get(by_name[f"row_in[{i}]"]) for i in (1, 2, 3)] == expected
+            assert [instance.get(by_name[f"flag_in[{i}]"]) for i in (1, 2)] == [1, 1]
+            assert instance.reset()
 
 
 def test_a_warning_of_the_first_of_two_calls_is_that_of_both(mirror: Build) -> None:
