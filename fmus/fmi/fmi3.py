@@ -139,6 +139,10 @@ class Fmi3Library(Library):
         refused: bytes | None = self._calls.fmi3_refused(handle) if handle else None
         return refused.decode() if refused else _name_of(function)
 
+    def unwritten(self, handle: ctypes.c_void_p | None) -> str:
+        """Returns the name of a flag that the last step of an examined FMU did not write, or ""."""
+        return (self._calls.fmi3_unwritten(handle) or b"").decode()
+
 
 def _name_of(function: str) -> str:
     """Returns the function of FMI 3.0 for one of FMI 2.0."""
@@ -157,7 +161,8 @@ def _calls() -> ctypes.CDLL | Exception:
         return error
     for interface in _INSTANTIATE:
         declare(calls, signatures(interface))
-    calls.fmi3_behind.restype, calls.fmi3_refused.restype = _POINTER, ctypes.c_char_p
+    calls.fmi3_behind.restype = _POINTER
+    calls.fmi3_refused.restype = calls.fmi3_unwritten.restype = ctypes.c_char_p
     calls.fmi3_behind.argtypes = [_POINTER, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER, ctypes.c_int]
-    calls.fmi3_refused.argtypes = [_POINTER]
+    calls.fmi3_refused.argtypes = calls.fmi3_unwritten.argtypes = [_POINTER]
     return calls
