@@ -140,7 +140,7 @@ class Fmi3Library(Library):
         return refused.decode() if refused else _name_of(function)
 
     def unwritten(self, handle: ctypes.c_void_p | None) -> str:
-        """Returns the name of a flag that the last step of an examined FMU did not write, or ""."""
+        """Returns the name of a result that the last step of an examined FMU did not write, or ""."""
         return (self._calls.fmi3_unwritten(handle) or b"").decode()
 
 

@@ -77,6 +77,7 @@ typedef struct {
     char **texts;   /* what was read last */
     double *before; /* values of the elements, while the state is Instantiated */
     int is_instantiated;
+    fmi3FMUState saved; /* the last state of the state Instantiated */
     fmi3Boolean has_tolerance, has_stop;
     double tolerance, start, stop;
     double reached;
@@ -85,7 +86,7 @@ typedef struct {
     double point, end, finished; /* of a step with intermediate updates: its begin and end, time of the last update */
     char wrong[160];             /* what an update did wrong */
     const char *refused;   /* the last function that returned another status than ok */
-    const char *unwritten; /* a flag that the last step did not write */
+    const char *unwritten; /* a result that the last step did not write */
 } Instance;
 
 static int noted(Instance *a, fmi3Status status, const char *function) {
@@ -372,12 +373,12 @@ EXPORT void fmi3_update(fmi3InstanceEnvironment environment, double t, bool set_
 static int part_of_step(Instance *a, double t, double end, int no_return_before, int *needs_event, int *is_early) {
     static const char *const function = "fmi3DoStep";
     static const char *const names[] = {"eventHandlingNeeded", "terminateSimulation", "earlyReturn"};
-    unsigned char unwritten[3] = {2, 2, 2};
+    unsigned char written[3] = {2, 2, 2};
     bool flags[3];
     const double slack = 1e-9 * (fabs(t) + fabs(end));
     double reached = NAN;
     fmi3Status status;
-    memcpy(flags, unwritten, sizeof flags);
+    memcpy(flags, written, sizeof flags);
     /* An FMU that is late, as its own steps have another size, begins where it is. */
     a->point = a->finished = a->has_reached && a->reached < t ? a->reached : t;
     a->end = end;
@@ -387,15 +388,15 @@ static int part_of_step(Instance *a, double t, double end, int no_return_before,
     stepping = NULL;
     a->has_reached = a->terminates = 0;
     if (!is_done(status)) return noted(a, status, function);
-    memcpy(unwritten, flags, sizeof flags);
+    memcpy(written, flags, sizeof flags);
     if (a->wrong[0]) return refuse(a, "fmi3IntermediateUpdateCallback", a->wrong);
-    if (isnan(reached)) return refuse(a, function, "lastSuccessfulTime was not written");
-    /* `values-are-written` reports it; other rules are judged with false, as importers begin. */
+    /* `values-are-written` reports it; other rules are judged with what importers begin with. */
     for (int i = 0; i < 3; i++)
-        if (unwritten[i] > 1) a->unwritten = names[i], unwritten[i] = 0;
-    *needs_event = unwritten[0];
-    *is_early = unwritten[2];
-    a->terminates = unwritten[1];
+        if (written[i] > 1) a->unwritten = names[i], written[i] = 0;
+    if (isnan(reached)) a->unwritten = "lastSuccessfulTime", reached = end;
+    *needs_event = written[0];
+    *is_early = written[2];
+    a->terminates = written[1];
     a->has_reached = 1;
     a->reached = reached;
     if (*is_early && !(a->uses & EARLY_RETURN))
@@ -485,17 +486,28 @@ EXPORT int fmi2Reset(Instance *a) {
     return noted(a, status, "fmi3Reset");
 }
 
+EXPORT int fmi2GetFMUstate(Instance *a, fmi3FMUState *state) {
+    const fmi3Status status = a->call->GetFMUState(a->instance, state);
+    if (is_done(status) && (a->is_instantiated || *state == a->saved)) a->saved = a->is_instantiated ? *state : NULL;
+    return noted(a, status, "fmi3GetFMUState");
+}
+
 EXPORT int fmi2SetFMUstate(Instance *a, fmi3FMUState state) {
-    a->is_instantiated = 0;
+    a->is_instantiated = a->saved && state == a->saved;
+    for (size_t i = 0; i < a->n_elements; i++) /* it may hold another value than was set since */
+        if (a->before[i] != a->elements[i].start) a->before[i] = NAN;
     return noted(a, a->call->SetFMUState(a->instance, state), "fmi3SetFMUState");
+}
+
+EXPORT int fmi2FreeFMUstate(Instance *a, fmi3FMUState *state) {
+    if (*state == a->saved) a->saved = NULL; /* another state may get the address */
+    return noted(a, a->call->FreeFMUState(a->instance, state), "fmi3FreeFMUState");
 }
 
 /* Functions that differ in their names alone. */
 #define SAME(Old, Name, declared, passed) \
     EXPORT int fmi2##Old declared { return noted(a, a->call->Name passed, "fmi3" #Name); }
 SAME(Terminate, Terminate, (Instance * a), (a->instance))
-SAME(GetFMUstate, GetFMUState, (Instance * a, fmi3FMUState *state), (a->instance, state))
-SAME(FreeFMUstate, FreeFMUState, (Instance * a, fmi3FMUState *state), (a->instance, state))
 SAME(SerializedFMUstateSize, SerializedFMUStateSize, (Instance * a, fmi3FMUState state, size_t *size),
      (a->instance, state, size))
 SAME(SerializeFMUstate, SerializeFMUState, (Instance * a, fmi3FMUState state, fmi3Byte bytes[], size_t size),
@@ -571,7 +583,7 @@ EXPORT Instance *fmi3_behind(fmi3Instance instance, const Functions *call, const
     return NULL;
 }
 
-/* A flag that the last step did not write, once; NULL if it wrote all. */
+/* A result that the last step did not write, once; NULL if it wrote all. */
 EXPORT const char *fmi3_unwritten(Instance *a) {
     const char *name = a->unwritten;
     a->unwritten = NULL;

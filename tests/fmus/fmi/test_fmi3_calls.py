@@ -249,3 +249,58 @@ def test_events_of_model_exchange_have_the_flags_of_fmi_2() -> None:
         assert [getattr(info, field[0]) for field in info._fields_] == [*told, 2.5]
     assert calls.fmi2CompletedIntegratorStep(instance, 0, *both) == 3
     assert calls.fmi3_refused(instance) == b"fmi3CompletedIntegratorStep"
+
+
+def test_a_part_of_an_array_follows_from_its_start_in_states_that_were_saved_when_instantiated() -> None:
+    """Functions of FMI 3.0 stand in for those of an FMU, with one array of two elements."""
+    size, pointer = ctypes.c_size_t, ctypes.c_void_p
+    reals, states = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_void_p)
+    read, held = list[bool](), [0.0, 0.0]
+
+    def get(_: Any, __: Any, ___: int, values: Any, count: int) -> int:
+        read.append(True)
+        values[0], values[1] = held[:count]
+        return 0
+
+    def set_values(_: Any, __: Any, ___: int, values: Any, count: int) -> int:
+        held[:] = values[:count]
+        return 0
+
+    def save(_: Any, state: Any) -> int:
+        state[0] = 8
+        return 0
+
+    of_instance = partial(ctypes.CFUNCTYPE, ctypes.c_int, pointer)
+    transfer = of_instance(pointer, size, reals, size)
+    functions = {
+        "GetFloat64": transfer(get),
+        "SetFloat64": transfer(set_values),
+        "GetFMUState": of_instance(states)(save),
+        "SetFMUState": of_instance(pointer)(lambda *_: 0),
+        "FreeFMUState": of_instance(states)(lambda *_: 0),
+        "Reset": of_instance()(lambda *_: 0),
+        "EnterInitializationMode": of_instance()(lambda *_: 0),
+    }
+    addresses = [ctypes.cast(functions.get(name, 0), pointer).value or 0 for name in fmi3._FUNCTIONS]
+    elements = np.array([(0, 7, 0, 2, 1.5), (0, 7, 0, 2, 2.5)], fmi3._ELEMENT)
+    table, calls, state = np.array(addresses, np.int64), fmi3._calls(), pointer()
+    assert isinstance(calls, ctypes.CDLL)
+    instance = calls.fmi3_behind(None, table.ctypes.data, elements.ctypes.data, 2, None, None, 0)
+
+    def is_read(number: int) -> bool:
+        read.clear()
+        assert calls.fmi2SetReal(instance, (ctypes.c_uint32 * 1)(number), 1, (ctypes.c_double * 1)(9.5)) == 0
+        return bool(read)
+
+    assert not calls.fmi2GetFMUstate(instance, ctypes.byref(state))
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert (is_read(0), held) == (False, [9.5, 2.5])
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert is_read(1)  # the state may hold the start of the other one
+    for call in (calls.fmi2Reset, calls.fmi2EnterInitializationMode):
+        assert not call(instance)
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert not is_read(0)
+    assert not calls.fmi2FreeFMUstate(instance, ctypes.byref(state))
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert is_read(0)
