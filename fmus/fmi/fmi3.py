@@ -100,7 +100,7 @@ class Fmi3Library(Library):
             raise AttributeError(f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0")
         functions = (getattr(self._functions, f"fmi3{name}", 0) for name in _FUNCTIONS)
         addresses = [ctypes.cast(function, _POINTER).value or 0 for function in functions]
-        self._addresses, self._elements = np.array(addresses, np.int64), np.array(elements, _ELEMENT)
+        self._addresses, self._elements = np.array(addresses, np.int64), np.array([*elements], _ELEMENT)
         self._instantiate = getattr(self._functions, self.instantiates)
         self._instantiate.restype = _POINTER
         before, after = _FOR_ONE_INTERFACE[interface]
