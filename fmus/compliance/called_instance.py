@@ -137,10 +137,10 @@ class CalledInstance(parts.StateSlots):
         shown = [show(argument) for argument in arguments if (show := parts.shower(type(argument)))]
         self._announce(f"{function}({str(shown)[1:-1]}){self._after}".encode())
 
-    def note(self, what: str, is_so: bool) -> None:
-        """Notes a fault of the FMU, if there is one, for `changed_settings`."""
+    def note(self, what: str, is_so: bool, name: str = "") -> None:
+        """Notes a fault of the FMU, if there is one, for `changed_settings`; name: of an argument."""
         if is_so:
-            self._noted.add((what, self.function, ""))
+            self._noted.add((what, self.function, name))
 
     def call(self, function: str, *arguments: Any) -> None:
         """Calls a function, and notes if one that is watched writes into an array that is constant to it."""
@@ -235,6 +235,8 @@ class CalledInstance(parts.StateSlots):
         if self.last_status == binding.PENDING:
             self.note(PENDED, True)
             self.wait()
+        if self.library.fmi == 3 and (name := cast(Any, self.library).unwritten(self.handle)):
+            self.note(UNWRITTEN, True, name)
         if self.library.fmi == 3 and self.last_status == binding.DISCARD:
             ends = ctypes.c_int()
             self.library.fmi2GetBooleanStatus(self.handle, binding.TERMINATED, ctypes.byref(ends))

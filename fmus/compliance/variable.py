@@ -205,7 +205,9 @@ class Variable3(Variable):
     @property
     def starts(self) -> list[str]:
         values = [start.get("value", "") for start in self.element.iterfind("Start")]
-        return values or self.typed.get("start", "").split()
+        text = self.typed.get("start", "")
+        # the schema has no such attribute of a String: `schema` alone reports it
+        return values or ([text] if text and self.kind == "String" else text.split())
 
     def references(self, attribute: str) -> list[int | None]:
         """Returns the value references in an attribute."""

@@ -58,6 +58,8 @@ _FOR_ONE_INTERFACE: dict[int, tuple[list[Any], list[Any]]] = {
     CO_SIMULATION: ([_FLAG, _FLAG, _POINTER, _SIZE], [_POINTER]),
     MODEL_EXCHANGE: ([], []),
 }
+# `Element` of the source
+_ELEMENT = np.dtype([(name, "f8" if name == "start" else "i8") for name in Element._fields])
 _Log = ctypes.CFUNCTYPE(None, _POINTER, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 _log = _Log(
     lambda environment, status, category, text: log_message(environment, None, status, category, text)
@@ -98,7 +100,7 @@ class Fmi3Library(Library):
             raise AttributeError(f"{path.name} lacks {', '.join(missing)}: expected them in FMI 3.0")
         functions = (getattr(self._functions, f"fmi3{name}", 0) for name in _FUNCTIONS)
         addresses = [ctypes.cast(function, _POINTER).value or 0 for function in functions]
-        self._addresses, self._elements = np.array(addresses, np.int64), np.array(elements, np.int64)
+        self._addresses, self._elements = np.array(addresses, np.int64), np.array([*elements], _ELEMENT)
         self._instantiate = getattr(self._functions, self.instantiates)
         self._instantiate.restype = _POINTER
         before, after = _FOR_ONE_INTERFACE[interface]
@@ -137,6 +139,10 @@ class Fmi3Library(Library):
         refused: bytes | None = self._calls.fmi3_refused(handle) if handle else None
         return refused.decode() if refused else _name_of(function)
 
+    def unwritten(self, handle: ctypes.c_void_p | None) -> str:
+        """Returns the name of a result that the last step of an examined FMU did not write, or ""."""
+        return (self._calls.fmi3_unwritten(handle) or b"").decode()
+
 
 def _name_of(function: str) -> str:
     """Returns the function of FMI 3.0 for one of FMI 2.0."""
@@ -155,7 +161,8 @@ def _calls() -> ctypes.CDLL | Exception:
         return error
     for interface in _INSTANTIATE:
         declare(calls, signatures(interface))
-    calls.fmi3_behind.restype, calls.fmi3_refused.restype = _POINTER, ctypes.c_char_p
+    calls.fmi3_behind.restype = _POINTER
+    calls.fmi3_refused.restype = calls.fmi3_unwritten.restype = ctypes.c_char_p
     calls.fmi3_behind.argtypes = [_POINTER, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER, ctypes.c_int]
-    calls.fmi3_refused.argtypes = [_POINTER]
+    calls.fmi3_refused.argtypes = calls.fmi3_unwritten.argtypes = [_POINTER]
     return calls

@@ -6,6 +6,7 @@ in `ModelDescription.elements`. Variables of types without an equivalent in FMI 
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields
 from itertools import product
 from xml.etree.ElementTree import Element as Xml
@@ -73,8 +74,8 @@ def fmi3_description(root: Xml) -> ModelDescription:
                     f"variable {xml.get('name')}: expected at most {_MOST_SCALARS} scalars in all"
                 )
             kind = _index(xml)
-            elements += [Element(kind, reference, first, count)] * count
             variables += _scalars(xml, shape, first, types)
+            elements += (Element(kind, reference, first, count, _start(v)) for v in variables[first:])
             by_reference[reference] = variables[first:]
     return ModelDescription(
         **attributes_of(root),
@@ -160,7 +161,8 @@ def _scalars(
             f"variable {name}: variability {variability!r}: expected one of {', '.join(INITIAL)}"
         )
     initial = INITIAL[variability].get("parameter" if causality == "structuralParameter" else causality)
-    starts = [required(s, "value") for s in xml.findall("Start")] or xml.get("start", "").split()
+    texts = xml.get("start", "").split() if xml.tag != "String" else []
+    starts = [required(s, "value") for s in xml.findall("Start")] or texts
     if len(starts) not in (0, 1, count):
         expected = f"1 or {count}" if count > 1 else "1"
         raise ValueError(f"variable {name}: {len(starts)} start values: expected {expected}")
@@ -183,6 +185,15 @@ def _scalars(
             is_relative(xml, of_type),
             xml.tag == "Float32",
         )
+
+
+def _start(v: ScalarVariable) -> float:
+    """Returns the `start` of an `Element`."""
+    text = "" if v.type == "String" else v.start or ""
+    with suppress(ValueError):
+        start = float({"true": "1", "false": "0"}.get(text, text))
+        return start if v.type == "Real" or abs(start) < 2**53 else math.nan
+    return math.nan
 
 
 def _element_name(name: str, index: tuple[int, ...]) -> str:

@@ -5,6 +5,7 @@ longer to import than a run takes.
 """
 # ruff: noqa: N815  (names of the standard)
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
@@ -117,12 +118,14 @@ class Element(NamedTuple):
     type: index in `fmi3_description.TYPES`
     reference: value reference of the array
     first, size: index of the array's first scalar, and the number of its scalars
+    start: start value; not a number for a string, without one, and of more digits than a double has
     """
 
     type: int
     reference: int
     first: int
     size: int
+    start: float = math.nan
 
 
 @dataclass(eq=False)

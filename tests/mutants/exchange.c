@@ -225,6 +225,7 @@ static int settable(const Model *m, const Variable *v) {
         for (size_t i = 0; i < n; i++) {                                                                     \
             const Variable *v = variable(letter, r[i]);                                                      \
             if (!v) return error(m, "no such variable");                                                     \
+            if (IS("a variable cannot be read") && v->offset == O(a)) return error(m, "is not computed");    \
             values[i] = *(type *)((char *)&m->d + v->offset);                                                \
             if (IS("a value is that before the evaluation") && v->offset == O(v) && m->d.state == CONT)       \
                 values[i] = (type)m->d.derived_v;                                                            \

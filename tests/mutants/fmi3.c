@@ -254,7 +254,8 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 t, fmi3Float64 h, fmi3B
     NEED(STEP);
     (void)no_return;
     if (end > d->stop && !IS("steps past the stop time")) return error(m, "the step ends beyond the stop time");
-    *event = *ends = false;
+    *event = false;
+    if (!IS("terminateSimulation is not written")) *ends = false;
     if (!IS("earlyReturn is not written")) *early = false;
     if (m->update && h > 0) {
         double middle = IS("an intermediate update before the step") ? t - h : t + h / 2;

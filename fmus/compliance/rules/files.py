@@ -118,6 +118,15 @@ def _unlisted(fmu: FmuFile, extensions: str | tuple[str, ...]) -> list[list[str]
     return [files] if files and fmu.interfaces and not is_listed else []
 
 
+_UNLISTED = (
+    (lambda files, fmu: fmu.is_fmi3 and files[0], f"{{value}}: expected {BUILD_DESCRIPTION} that lists it"),
+    (
+        lambda files, _: ", ".join(files[:3]),
+        "{value}: expected SourceFiles that lists what is to be compiled",
+    ),
+)
+
+
 @lru_cache(maxsize=1)
 def _sources(fmu: FmuFile) -> dict[str, bytes]:
     """Returns the path of each C file and header below sources -> its text without comments."""
@@ -179,15 +188,10 @@ add_rows(__name__, Stage.DESCRIPTION, rows=(
          "line {subject.sourceline}, SourceFiles lists {name}: expected a path below sources"),
         (_is_missing,
          "line {subject.sourceline}, SourceFiles lists {name}: expected sources/{name} in the archive")),
-    row("sources-are-listed",
-        lambda fmu: [] if fmu.libraries() and not fmu.is_fmi3 else _unlisted(fmu, _TO_COMPILE),
-        (lambda files, fmu: fmu.is_fmi3 and files[0],
-         f"{{value}}: expected {BUILD_DESCRIPTION} that lists it"),
-        (lambda files, _: ", ".join(files[:3]),
-         "{value}: expected SourceFiles that lists what is to be compiled")),
+    row("sources-are-listed", lambda fmu: [] if fmu.libraries() else _unlisted(fmu, _TO_COMPILE),
+        *_UNLISTED),
     row("sources-beside-a-library-are-listed", lambda fmu: _unlisted(fmu, ".c") if fmu.libraries() else [],
-        (lambda files, _: ", ".join(files[:3]),
-         "{value}: expected SourceFiles that lists what is to be compiled")),
+        *_UNLISTED),
 ))  # fmt: skip
 
 

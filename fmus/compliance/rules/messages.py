@@ -198,8 +198,8 @@ add_rows(__name__, rule.Stage.BEHAVIOUR, rows=(
     row("arguments-are-not-written", _changes,
      (lambda c, _: c.setting == ARGUMENTS,
       "{function} writes into an array that is constant, or behind one: expected that unchanged")),
-    row("values-are-written", _changes, (lambda c, _: c.setting == UNWRITTEN,
-      "{function} returned ok and left a value unwritten, or wrote no Boolean: expected each written")),
+    row("values-are-written", _changes, (lambda c, _: c.setting == UNWRITTEN and (c.after or "a value"),
+      "{function} returned ok and left {value} unwritten, or wrote no Boolean: expected each written")),
     row("statuses-are-legal", lambda probe: tour(probe).script.replies, _WRONG_STATUS),
 ))  # fmt: skip
 add_rows(__name__, rule.Stage.BEHAVIOUR, last=True, rows=(

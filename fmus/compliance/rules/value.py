@@ -167,7 +167,8 @@ def final_values_after_terminate(probe: Probe) -> Iterator[Row]:
     """After fmi2Terminate the final values can be read; they are the values of the last step."""
     read = do.read(probe.fmu.variables)
     varied = do.start, do.step(2), do.expect(read), do.terminate, read
-    yield Row("after fmi2Terminate", varied, ())
+    # where terminating evaluates the model once more, crossing functions may differ by their hysteresis
+    yield Row("after fmi2Terminate", varied, (), tolerance=_ROUNDED)
 
 
 # values that change only when they may

@@ -59,7 +59,7 @@ FIRST_MESSAGES = {
     "a flag of an event is not written": "fmi2NewDiscreteStates returned ok and left a value unwritten",
     "states cannot be set by reference": "fmi2SetReal of x returned error",
     "the process counts its steps": "; only after other instances in the process, found by ",
-    "lastSuccessfulTime is not written": "fmi3DoStep returned ok: lastSuccessfulTime was not written",
+    "lastSuccessfulTime is not written": "fmi3DoStep returned ok and left lastSuccessfulTime unwritten",
     "an intermediate update before the step": (
         "fmi3DoStep returned ok: the time of an intermediate update is -0.01 s: expected 0..0.01 s"
     ),

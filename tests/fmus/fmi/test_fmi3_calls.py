@@ -144,17 +144,36 @@ def test_a_real_is_set_within_the_range_of_single_precision_or_infinite(path: Pa
 
 @pytest.mark.parametrize(("macro", "part"), [("AFTER_SET", 1), ("AFTER_GET", 1), ("AFTER_SET", 2)])
 def test_a_warning_and_a_discard_of_one_call_are_those_of_all(mirror: Build, macro: str, part: int) -> None:
-    """part: how many of two scalars are set; a part of an array is read first."""
+    """part: how many of two scalars are set; a part of an array is read first, after initialization."""
     function = "fmi3SetFloat64" if macro == "AFTER_SET" else "fmi3GetFloat64"
     pairs = dict.fromkeys(("warned", "discarded"), ("Float64", "[1] 1.5 [2] 2.5"))
     path = mirror(pairs, {f"{macro}(status)": "((void)(status), vr[0] == 1000 ? fmi2Warning : fmi2Discard)"})
     description = describe(path)
     inputs = of_causality(description, "input")
     with FmuInstance("m", path, description) as instance:
+        instance.initialise(0.0, None)
         with pytest.warns(FmuWarning, match=f"{function}: it logged nothing"):
             instance.set_all((v, 3.5) for v in inputs[:part])
         with pytest.raises(FmuError, match=f"{function} returned discard"):
             instance.set_all((v, 3.5) for v in inputs[2 : 2 + part])
+
+
+def test_a_part_of_an_array_is_set_before_initialization_where_no_value_can_be_read(mirror: Build) -> None:
+    """2.3.3: the table has fmi3Get when instantiated, the list of allowed calls does not; FMUs refuse it."""
+    pairs = {"row": ("Float64", "[1] 1.5 [2] 2.5 [3] 3.5"), "flag": ("Boolean", "[1] 1 [2] 0")}
+    path = mirror(pairs, {"AFTER_GET(status)": "(f->slave->data.mode & INSTANTIATED ? fmi2Error : (status))"})
+    description = describe(path)
+    by_name = {v.name: v for v in description.modelVariables}
+    with FmuInstance("m", path, description) as instance:
+        for expected in ([1.5, 7.5, 8.5], [6.5, 2.5, 3.5]):
+            starts = zip((1.5, 2.5, 3.5), expected, (1, 2, 3), strict=True)
+            for number in [i for old, new, i in starts if old != new]:
+                instance.set(by_name[f"row_in[{number}]"], expected[number - 1])
+            instance.set(by_name["flag_in[2]"], True)
+            instance.initialise(0.0, None)
+            assert [instance.get(by_name[f"row_in[{i}]"]) for i in (1, 2, 3)] == expected
+            assert [instance.get(by_name[f"flag_in[{i}]"]) for i in (1, 2)] == [1, 1]
+            assert instance.reset()
 
 
 def test_a_warning_of_the_first_of_two_calls_is_that_of_both(mirror: Build) -> None:
@@ -230,3 +249,58 @@ def test_events_of_model_exchange_have_the_flags_of_fmi_2() -> None:
         assert [getattr(info, field[0]) for field in info._fields_] == [*told, 2.5]
     assert calls.fmi2CompletedIntegratorStep(instance, 0, *both) == 3
     assert calls.fmi3_refused(instance) == b"fmi3CompletedIntegratorStep"
+
+
+def test_a_part_of_an_array_follows_from_its_start_in_states_that_were_saved_when_instantiated() -> None:
+    """Functions of FMI 3.0 stand in for those of an FMU, with one array of two elements."""
+    size, pointer = ctypes.c_size_t, ctypes.c_void_p
+    reals, states = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_void_p)
+    read, held = list[bool](), [0.0, 0.0]
+
+    def get(_: Any, __: Any, ___: int, values: Any, count: int) -> int:
+        read.append(True)
+        values[0], values[1] = held[:count]
+        return 0
+
+    def set_values(_: Any, __: Any, ___: int, values: Any, count: int) -> int:
+        held[:] = values[:count]
+        return 0
+
+    def save(_: Any, state: Any) -> int:
+        state[0] = 8
+        return 0
+
+    of_instance = partial(ctypes.CFUNCTYPE, ctypes.c_int, pointer)
+    transfer = of_instance(pointer, size, reals, size)
+    functions = {
+        "GetFloat64": transfer(get),
+        "SetFloat64": transfer(set_values),
+        "GetFMUState": of_instance(states)(save),
+        "SetFMUState": of_instance(pointer)(lambda *_: 0),
+        "FreeFMUState": of_instance(states)(lambda *_: 0),
+        "Reset": of_instance()(lambda *_: 0),
+        "EnterInitializationMode": of_instance()(lambda *_: 0),
+    }
+    addresses = [ctypes.cast(functions.get(name, 0), pointer).value or 0 for name in fmi3._FUNCTIONS]
+    elements = np.array([(0, 7, 0, 2, 1.5), (0, 7, 0, 2, 2.5)], fmi3._ELEMENT)
+    table, calls, state = np.array(addresses, np.int64), fmi3._calls(), pointer()
+    assert isinstance(calls, ctypes.CDLL)
+    instance = calls.fmi3_behind(None, table.ctypes.data, elements.ctypes.data, 2, None, None, 0)
+
+    def is_read(number: int) -> bool:
+        read.clear()
+        assert calls.fmi2SetReal(instance, (ctypes.c_uint32 * 1)(number), 1, (ctypes.c_double * 1)(9.5)) == 0
+        return bool(read)
+
+    assert not calls.fmi2GetFMUstate(instance, ctypes.byref(state))
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert (is_read(0), held) == (False, [9.5, 2.5])
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert is_read(1)  # the state may hold the start of the other one
+    for call in (calls.fmi2Reset, calls.fmi2EnterInitializationMode):
+        assert not call(instance)
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert not is_read(0)
+    assert not calls.fmi2FreeFMUstate(instance, ctypes.byref(state))
+    assert not calls.fmi2SetFMUstate(instance, state)
+    assert is_read(0)

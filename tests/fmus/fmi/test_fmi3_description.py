@@ -177,6 +177,15 @@ def test_a_variability_that_is_not_stated_follows_from_type_and_causality(
     assert [found[name] for name in "xyk"] == [moving, moving, "fixed"]
 
 
+def test_an_attribute_start_of_a_string_which_the_schema_lacks_is_no_value(
+    described: Callable[..., ModelDescription],
+) -> None:
+    read = described(
+        "</ModelVariables>", '<String name="s" valueReference="40" start="a b"/></ModelVariables>'
+    )
+    assert [v.start for v in read.modelVariables if v.name == "s"] == [None]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
