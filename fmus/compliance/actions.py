@@ -211,7 +211,7 @@ def read_all(when: str = "", where: str = "") -> Action:
 
 def read_readable(script: Script) -> None:
     """Reads the variables that initialization mode allows to be read."""
-    script.write([read(values.readable_in_initialization(script.probe.fmu))])
+    script.write([read(script.probe.fmu.readable_in_initialization)])
 
 
 def glance_all(script: Script) -> None:

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from fmus.compliance import instance_parts as parts
 from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.texts import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME, VECTORS
+from fmus.compliance.texts import ARGUMENTS, PENDED, UNWRITTEN, USUAL_NAME, VECTORS, packed
 from fmus.fmi import binding
 from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory
 
@@ -206,12 +206,17 @@ class CalledInstance(parts.StateSlots):
 
     # calls
 
-    def get(self, kind: str, references: list[int]) -> list[Any]:
-        """Values; Strings as hexadecimal bytes, or nothing for NULL."""
+    def read(self, kind: str, references: list[int]) -> list[Any]:
+        """Returns values; Strings as hexadecimal bytes, or nothing for NULL."""
         count, function, element = len(references), f"fmi2Get{kind}", binding.element_type(kind)
         read = binding.reference_array(references)
         values = self.results(element, count, lambda array: self.call(function, read, count, array))
         return values if kind != "String" else [None if x is None else bytes(x).hex() for x in values]
+
+    def get(self, kind: str, references: list[int]) -> list[Any] | str:
+        """Returns values as `read` does, but Reals by `packed`."""
+        values = self.read(kind, references)
+        return packed(values) if kind == "Real" else values
 
     def results(self, element: Any, count: int, call: Callable[[Any], None]) -> list[Any]:
         """Returns what a call writes into an array, with an element behind it that the FMU may not write."""
@@ -257,7 +262,7 @@ class CalledInstance(parts.StateSlots):
             reason = self.do_step(start + i * h, h)
             if not 0 <= self.last_status <= binding.WARNING:
                 return reason
-            t, values = start + (i + 1) * h, [x for kind, of in observed for x in self.get(kind, of)]
+            t, values = start + (i + 1) * h, [x for kind, of in observed for x in self.read(kind, of)]
             extremes = extremes or [[x, t, x, t] for x in values]
             for value, extreme in zip(values, extremes, strict=True):
                 if value < extreme[0] or math.isnan(value):

@@ -217,6 +217,43 @@ class FmuFile:
         """
         return {v.reference if self.is_fmi3 else v.index: v for v in reversed(self.variables)}
 
+    @cached_property
+    def settable_before(self) -> list[Variable]:
+        """Variables that can be set when instantiated: initial exact or approx, not constant."""
+        return [v for v in self.variables if v.variability != "constant" and v.initial in ("exact", "approx")]
+
+    @cached_property
+    def settable_in_initialization(self) -> list[Variable]:
+        """Variables that can be set in initialization mode: initial exact, not constant, and inputs."""
+        return [
+            v
+            for v in self.variables
+            if v.causality == "input" or (v.variability != "constant" and v.initial == "exact")
+        ]
+
+    @cached_property
+    def settable_while_stepping(self) -> list[Variable]:
+        """Variables that can be set at communication points: inputs and tunable parameters."""
+        tunable = "parameter", "tunable"
+        return [
+            v for v in self.variables if v.causality == "input" or (v.causality, v.variability) == tunable
+        ]
+
+    @cached_property
+    def readable_in_initialization(self) -> list[Variable]:
+        """Outputs and initial unknowns."""
+        indices = {unknown.variable.index for unknown in self.unknowns["InitialUnknowns"]}
+        return [v for v in self.variables if v.causality == "output" or v.index in indices]
+
+    @cached_property
+    def aliases(self) -> dict[tuple[str, int | None], list[Variable]]:
+        """Type and value reference -> the variables that have both, and so the same value."""
+        sets: dict[tuple[str, int | None], list[Variable]] = {}
+        for v in self.variables:
+            if v.reference is not None and v.kind:
+                sets.setdefault((v.base_kind, v.reference), []).append(v)
+        return sets
+
     @property
     def key_words(self) -> str:
         """Words for the keys that variables have."""
@@ -251,10 +288,13 @@ class FmuFile:
         variables = {number: (v,) for number, v in self.by_key.items()}
         return {
             name: [
-                Unknown(self.section(name), element, *variables.get(integer(element.get(key)), ()))
+                Unknown(self.section(name), element, known, *variables.get(integer(text), ()))
                 for element in self.root.iterfind(
                     f"ModelStructure/{self.section(name)}{'' if self.is_fmi3 else '/Unknown'}"
                 )
+                for known in [frozenset(map(integer, element.get("dependencies", "").split()))]
+                # `as_fmi2` lists all elements of an array in one
+                for text in element.get(key, "").split() or [""]
             ]
             for name in _SECTIONS
         }

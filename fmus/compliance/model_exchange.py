@@ -198,7 +198,7 @@ class CalledModelExchange(CalledInstance):
         """
         if self._events:
             references = self._options["observed"].items()
-            values = {kind: self._checked(self.get, kind, some) for kind, some in references}
+            values = {kind: self._checked(self.read, kind, some) for kind, some in references}
             self._events[-1][when] = values | {name: self._read(name) for name in (_STATES, _DERIVATIVES)}
 
     def _state_vectors(self) -> list[list[float]]:

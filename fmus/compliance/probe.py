@@ -4,7 +4,7 @@ import itertools
 import marshal
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -87,6 +87,7 @@ class Probe:
         optional = " ".join(names for flag, names in _OF_CAPABILITIES.items() if not fmu.claims(flag)).split()
         self.process = FmuProcess((library, resources, interface, optional, fmu.elements), one_instance)
         self._instances = itertools.count(1)
+        self._groups: dict[tuple[Variable, ...], Groups] = {}
         self.under_way: Sequence[Sequence[Script]] = ()
         self.shared = shared
         self._options: dict[str, Any] = {"guid": fmu.root.get("guid", "")}
@@ -251,10 +252,12 @@ class Probe:
         """Returns the time of communication point number i [s]."""
         return self.start_time + i * self.step_size
 
-    @cached_property
-    def groups(self) -> Groups:
-        """All variables by type."""
-        return grouped(self.fmu.variables)
+    def grouped(self, variables: Iterable[Variable]) -> Groups:
+        """Returns variables as `script.grouped` does; the same ones are grouped once for all rules."""
+        key = tuple(variables)
+        if key not in self._groups:
+            self._groups[key] = grouped(key)
+        return self._groups[key]
 
     @cached_property
     def outputs(self) -> list[Variable]:

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.texts import STEPS, VECTORS
+from fmus.compliance.texts import STEPS, VECTORS, unpacked
 from fmus.compliance.variable import Variable
 from fmus.errors import listed
 from fmus.fmi.binding import WARNING, status_name
@@ -129,12 +129,19 @@ class Reading:
     @property
     def values(self) -> dict[str, Any]:
         """Name -> value of each variable; Strings as bytes, None for NULL."""
-        result = {}
+        result = dict[str, Any]()
         for kind, members in self.groups.items():
-            for variable, value in zip(members, self.replies[kind].value, strict=True):
-                is_text = kind == "String" and isinstance(value, str)
-                result[variable.name] = bytes.fromhex(value) if is_text else value
+            read = self.replies[kind].value
+            if kind == "String":
+                read = [bytes.fromhex(text) if isinstance(text, str) else text for text in read]
+            result.update(zip([v.name for v in members], read, strict=True))
         return result
+
+    def equals(self, other: "Expected") -> bool:
+        """Whether another reading has the same variables and values, which is quicker than to name each."""
+        if isinstance(other, dict) or self.groups != other.groups:
+            return False
+        return all(self.replies[kind].value == other.replies[kind].value for kind in self.groups)
 
 
 Expected = Reading | dict[str, Any]
@@ -203,8 +210,7 @@ class Script:
         return reply
 
     def read(self, variables: Iterable[Variable]) -> Reading:
-        # most readings are of all variables
-        known = self.probe.groups if variables is self.probe.fmu.variables else grouped(variables)
+        known = self.probe.grouped(variables)
         replies = {kind: self.call("get", kind, references) for kind, (_, references, _) in known.items()}
         for kind, (_, _, words) in known.items():
             replies[kind].words = words
@@ -245,10 +251,14 @@ class Script:
             reply.messages = [Message(*message) for message in messages]
             return
         self.answers = answers
-        for reply, answer in zip(self.replies[self.parts[part] :], answers, strict=False):
+        first = self.parts[part]
+        for call, reply, answer in zip(self.calls[first:], self.replies[first:], answers, strict=False):
             if not answer:
                 continue
             try:
+                if call[:2] == ("get", "Real") and isinstance(answer[1], str):
+                    # another script with the same calls has the same numbers
+                    answer[1] = unpacked(answer[1])
                 status, reply.value, messages, changed, function, mode = answer
                 reply.function = str(function)
                 # a step for model exchange is many calls

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from fmus.compliance.fmu_file import FmuFile
@@ -61,28 +61,6 @@ def far_values(v: Variable) -> list[Any]:
 def read_value(value: Any) -> Any:
     """Returns a value that was read, as it is set: Strings as text; None for NULL."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-
-
-def _settable(may_be_set: Callable[[Variable], bool]) -> Callable[[FmuFile], list[Variable]]:
-    return lambda fmu: [v for v in fmu.variables if may_be_set(v)]
-
-
-# when instantiated: initial exact or approx, not constant
-settable_before = _settable(lambda v: v.variability != "constant" and v.initial in ("exact", "approx"))
-# in initialization mode: initial exact, not constant, and inputs
-settable_in_initialization = _settable(
-    lambda v: v.causality == "input" or (v.variability != "constant" and v.initial == "exact")
-)
-# at communication points: inputs and tunable parameters
-settable_while_stepping = _settable(
-    lambda v: v.causality == "input" or (v.causality, v.variability) == ("parameter", "tunable")
-)
-
-
-def readable_in_initialization(fmu: FmuFile) -> list[Variable]:
-    """Outputs and initial unknowns."""
-    indices = {unknown.variable.index for unknown in fmu.unknowns["InitialUnknowns"]}
-    return [v for v in fmu.variables if v.causality == "output" or v.index in indices]
 
 
 def keeps_its_value(v: Variable) -> bool:
@@ -159,15 +137,20 @@ def differing(
 
     again: template of the expected value; where: words for each reading, by default its number
     """
-    rows = [row if isinstance(row, dict) else row.values for row in expected]
-    pairs = [(*group, group[1].values) for group in zip(rows, got, expected, strict=True)]
-    if all(row == other for row, _, _, other in pairs):
+    compared = list(zip(expected, got, strict=True))
+    if all(reading.equals(source) for source, reading in compared):
+        return
+    # one reading is often expected again and again
+    sources = {id(source): source for source, _ in compared}
+    rows = {key: source if isinstance(source, dict) else source.values for key, source in sources.items()}
+    pairs = [(rows[id(source)], reading, source, reading.values) for source, reading in compared]
+    if all(other.items() <= row.items() for row, _, _, other in pairs):
         return
     scales, nominals = dict[str, float](), dict[str, float]()
-    for row, _, source, _ in pairs:
+    for key, source in sources.items():
         if isinstance(source, Reading):
             nominals |= {v.name: v.nominal for group in source.groups.values() for v in group}
-            for name, value in row.items():
+            for name, value in rows[key].items():
                 if isinstance(value, float) and math.isfinite(value):
                     scales[name] = max(abs(value), scales.get(name, 0.0))
     most = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)

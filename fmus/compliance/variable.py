@@ -219,10 +219,14 @@ _NONE = Variable(0, {}, "", {}, {})
 
 @dataclass(frozen=True)
 class Unknown:
-    """An Unknown of a section of ModelStructure. variable: with index 0 if no variable has its index."""
+    """An Unknown of a section of ModelStructure.
+
+    indices: its dependencies as numbers; variable: with index 0 if no variable has its index
+    """
 
     section: str
     element: Any
+    indices: frozenset[int | None] = frozenset()
     variable: Variable = _NONE
 
     @property
@@ -243,11 +247,6 @@ class Unknown:
         if self.variable.index:
             return f"{self.section}, unknown {self.variable.name} ({index or reference})"
         return f"{self.section}, index {index}" if index else f"{self.section}, value reference {reference}"
-
-    @cached_property
-    def indices(self) -> frozenset[int | None]:
-        """The dependencies as numbers."""
-        return frozenset(map(integer, self.dependencies))
 
     def depends_on(self, known: Variable) -> bool:
         """Whether it lists a known, or lists nothing, which means all."""

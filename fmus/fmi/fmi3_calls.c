@@ -1,8 +1,9 @@
 /* An instance of an FMI 3.0 FMU behind the functions of FMI 2.0 that the master calls, from its loop and from Python. Clauses refer to FMI 3.0.2.
 
    FMI 3.0 transfers whole arrays. For the master, their elements are scalars, row by row (2.2.7.1), each with an index
-   in place of a value reference. Scalars of neighbouring whole arrays of one type are one call; a part of an
-   array is set by reading the array first, or before initialization, where FMUs refuse to be read, from its start. */
+   in place of a value reference. Scalars of neighbouring whole arrays of one type are one call, and so are those of a
+   part of an array, which is set by reading the array first, or before initialization, where FMUs refuse to be read,
+   from its start. */
 
 #include <float.h>
 #include <math.h>
@@ -205,7 +206,8 @@ static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[],
         if (numbers[i] >= a->n_elements) return refer_to_none(a, kind, is_set, numbers[i]);
     for (size_t i = 0, taken; i < n; i += taken) {
         const Element *e = a->elements + numbers[i];
-        size_t n_arrays = 0, count, offset = 0, size = 0;
+        size_t n_arrays = 0, count, size = 0;
+        int is_part = 0;
         int status = fmi3OK;
         for (taken = 0; i + taken < n; taken += count) {
             const Element *next = a->elements + numbers[i + taken];
@@ -218,22 +220,24 @@ static int transfer(Instance *a, int kind, int is_set, const uint32_t numbers[],
         if (!n_arrays) {
             a->references[n_arrays++] = (fmi3ValueReference)e->reference;
             size = (size_t)e->size;
-            offset = numbers[i] - (size_t)e->first;
-            taken = 1;
+            for (taken = 1; i + taken < n && a->elements[numbers[i + taken]].first == e->first; taken++) continue;
+            is_part = 1; /* or a whole array in another order */
         }
-        if (!is_set || (size > taken && !is_known(a, e))) {
+        if (!is_set || (is_part && !is_known(a, e))) {
             status = exchange(a, e, n_arrays, size, 0);
             if (!is_done(status)) return status;
             if (kind == TEXT) keep_texts(a, (size_t)e->first, size);
         }
-        for (size_t k = i; k < i + taken; k++)
-            if (move(a, kind, is_set, a->elements + numbers[k], offset + k - i, values, k) != fmi3OK) return fmi3Error;
+        for (size_t k = i; k < i + taken; k++) {
+            const size_t slot = is_part ? numbers[k] - (size_t)e->first : k - i;
+            if (move(a, kind, is_set, a->elements + numbers[k], slot, values, k) != fmi3OK) return fmi3Error;
+        }
         if (is_set) {
             const int set = exchange(a, e, n_arrays, size, 1);
             if (!is_done(set)) return set;
             status = set > status ? set : status;
             for (size_t k = i; a->is_instantiated && k < i + taken; k++)
-                a->before[numbers[k]] = number(e->type, a->values, offset + k - i);
+                a->before[numbers[k]] = number(e->type, a->values, is_part ? numbers[k] - (size_t)e->first : k - i);
         }
         worst = status > worst ? status : worst;
     }
@@ -259,7 +263,9 @@ static size_t arrays_of(const Instance *a, const uint32_t numbers[], size_t n, f
     *size = 0;
     for (size_t i = 0, j; i < n; i++) {
         const Element *e = a->elements + numbers[i];
-        for (j = 0; a->elements[numbers[j]].first != e->first; j++) continue;
+        /* mostly of the array of the scalar before */
+        j = i && a->elements[numbers[i - 1]].first == e->first ? i - 1 : 0;
+        for (; a->elements[numbers[j]].first != e->first; j++) continue;
         if (j == i) {
             references[count++] = (fmi3ValueReference)e->reference;
             places[i] = *size + numbers[i] - (size_t)e->first;

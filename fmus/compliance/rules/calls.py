@@ -61,7 +61,7 @@ def reset_in_every_state(probe: Probe) -> Iterator[Row]:
     """fmi2Reset is allowed when instantiated, in initialization mode, while stepping, after fmi2Terminate and
     after an error; start values can be set after it, as at first.
     """
-    pairs = values.start_values(values.settable_before(probe.fmu)[: do.MOST_VARIABLES])
+    pairs = values.start_values(probe.fmu.settable_before[: do.MOST_VARIABLES])
     taken = list[do.Pair]()
     # the FMU may refuse start values, as another rule reports
     with suppress(NotJudgedError):

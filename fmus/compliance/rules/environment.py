@@ -23,7 +23,7 @@ _WARM_UP = 18  # instances before: memory that the heap keeps for reuse hides th
 
 def _with_a_state(probe: Probe) -> tuple[Action, ...]:
     """Returns actions that set values, take a step, and save a state and free it, if the FMU claims that."""
-    set_values = do.set_values(values.start_values(values.settable_in_initialization(probe.fmu)))
+    set_values = do.set_values(values.start_values(probe.fmu.settable_in_initialization))
     saved = (do.save(), do.free_state()) if probe.fmu.claims(values.SAVES) else ()
     return do.initialise, set_values, do.exit_initialization_mode, do.step(), *saved
 
@@ -99,7 +99,7 @@ def _used_instances(probe: Probe, cycles: int) -> list[dict[str, int]]:
     copied = by_bytes if probe.fmu.claims(values.SERIALISES) else ()
     states = do.save(), do.save(), *copied, do.restore(), do.free_state()
     actions = (
-        *do.set_at_once(values.start_values(values.settable_before(probe.fmu)[:do.MOST_VARIABLES])),
+        *do.set_at_once(values.start_values(probe.fmu.settable_before[:do.MOST_VARIABLES])),
         do.begin, do.step(3),
         *(states if probe.fmu.claims(values.SAVES) else ()), do.terminate, do.reset, do.begin, do.step(2),
     )  # fmt: skip

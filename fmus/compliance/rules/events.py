@@ -16,7 +16,7 @@ from fmus.compliance.rule import NotJudgedError, behaviour_rule, rule_of
 from fmus.compliance.script import KINDS
 from fmus.compliance.texts import VECTORS
 from fmus.compliance.traces.generator import Trace, excited
-from fmus.compliance.values import other_values, references_of, same, settable_while_stepping, texts
+from fmus.compliance.values import other_values, references_of, same, texts
 from fmus.compliance.variable import Variable, is_true
 
 _STEPS, _FEW_STEPS = 50, 5  # of the run
@@ -266,7 +266,7 @@ def events_come_to_an_end(probe: Probe) -> Iterator[str]:
     """
     usual, *others = (reason for _, reason in _runs(probe))
     ends = [usual, *(f"with other inputs {reason}" for reason in others)]
-    pairs = other_values(settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES])
+    pairs = other_values(probe.fmu.settable_while_stepping[: do.MOST_VARIABLES])
     # where the usual run fails, a long one fails for that
     later = [] if usual else [do.leap(2)]
     # Reals have many values and seldom distinguish cases, so one run sets all

@@ -157,21 +157,22 @@ def several_instances(probe: Probe) -> Iterator[Row]:
     another. An error of another rule that a new process does not show is a finding of this rule.
     """
     yield from paths.rows(probe, paths.beside)
-    changed = do.set_others(values.settable_before(probe.fmu)), do.initialise
-    moved = do.begin, do.set_others(values.settable_while_stepping(probe.fmu)), do.step()
+    changed = do.set_others(probe.fmu.settable_before), do.initialise
+    moved = do.begin, do.set_others(probe.fmu.settable_while_stepping), do.step()
     usual, another = (do.start, do.run(5)), (changed[0], *moved)
     # once it is created last, once it begins last
     for beside in ((changed, another, usual), (usual, another)):
         varied = do.start, do.run(2), do.pause, do.run(3)
         yield Row("beside another instance", varied, usual, beside=beside)
-    modes = [((do.initialise,), values.settable_in_initialization, values.readable_in_initialization)]
+    fmu = probe.fmu
+    modes = [((do.initialise,), fmu.settable_in_initialization, fmu.readable_in_initialization)]
     if probe.fmu.is_model_exchange:
-        modes.append(((do.begin,), values.settable_while_stepping, lambda fmu: [*fmu.variables]))
+        modes.append(((do.begin,), fmu.settable_while_stepping, [*fmu.variables]))
     for begin, settable, readable in modes:
-        glance, last = do.glance(readable(probe.fmu)), do.read(readable(probe.fmu))
+        glance, last = do.glance(readable), do.read(readable)
         # the FMU may refuse values, as another rule reports
         with suppress(NotJudgedError):
-            others = do.set_values(do.others_accepted(probe, settable(probe.fmu), *begin))
+            others = do.set_values(do.others_accepted(probe, settable, *begin))
             for first in ((*begin, glance, others), (*begin, others, glance)):
                 varied, usual = (*first, do.pause, last), (*first, last)
                 yield Row("after another instance was read", varied, usual, beside=((*begin, glance),))

@@ -88,10 +88,12 @@ def _undeclared(message: Message, probe: Probe) -> str:
 
 def _unknown_variable(message: Message, probe: Probe) -> str:
     found = _REFERENCE.findall(message.text.replace("##", ""))
-    known = {(v.base_kind, v.reference) for v in probe.fmu.variables} if found else ()
     # the FMU may name a wrong reference that it was asked for
     asked = values.unknown_reference(probe.fmu) if found else 0
-    return next((f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in known), "")
+    return next(
+        (f"#{k}{x}#" for k, x in found if int(x) != asked and (_KINDS[k], int(x)) not in probe.fmu.aliases),
+        "",
+    )
 
 
 def _has_a_single_percent_sign(message: Message, _: Probe) -> bool:
@@ -141,7 +143,7 @@ def _set_odd_parameters(probe: Probe) -> None:
     """Sets Real parameters to 0 and to another sign, within their limits, which the FMU may refuse, and a
     fixed one of each type at a communication point, which it does.
     """
-    settable = values.settable_before(probe.fmu)
+    settable = probe.fmu.settable_before
     parameters = [v for v in settable if values.keeps_its_value(v) and v.kind == "Real"]
     starts = values.start_values(parameters[: do.MOST_VARIABLES])
     pairs = [(v, x) for v, start in starts for x in (0.0, -start) if x != start and v.low <= x <= v.high]

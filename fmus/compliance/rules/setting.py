@@ -26,7 +26,7 @@ def _rows_of_starts(probe: Probe, when: str, *before: do.Action) -> Iterator[Row
         for v in probe.fmu.variables
         if v.variability != "constant" and (v.initial == "exact" or v.causality == "input")
     )
-    readable = values.readable_in_initialization(probe.fmu)
+    readable = {*probe.fmu.readable_in_initialization}
     at_first = do.initialise, do.read_as([(v, x) for v, x in declared if v in readable])
     later = do.begin, do.read_as([(v, x) for v, x in declared if values.keeps_its_value(v)])
     for after in (at_first, later):
@@ -46,9 +46,9 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[Row]:
     """After other values, a stop time, changed inputs, steps, fmi2Terminate and fmi2Reset, start values are
     back, and every variable is in the same steps as in a new instance.
     """
-    changed = do.set_others(values.settable_while_stepping(probe.fmu))
+    changed = do.set_others(probe.fmu.settable_while_stepping)
     ended = do.together(changed, do.ignore(do.leap(1), do.terminate))
-    others = do.set_others(values.settable_before(probe.fmu))
+    others = do.set_others(probe.fmu.settable_before)
     yield from _rows_of_starts(probe, "after other values and fmi2Reset", others, do.reset)
     usual = do.begin, do.read_all(), do.run_all(5)
     for stop, words in ((do.step(5), ""), (ended, "other values, fmi2Terminate and ")):
@@ -74,7 +74,7 @@ def start_time_counts_at_once(probe: Probe) -> Iterator[str]:
     default experiment, also keep them with another start time.
     """
     outputs = values.continuous_reals(probe, "output")
-    read, inputs = do.read(outputs), values.start_values(values.settable_while_stepping(probe.fmu))
+    read, inputs = do.read(outputs), values.start_values(probe.fmu.settable_while_stepping)
     # earlier results are not kept; 4.2.4 has no reading between setting and a step
     sets = [do.set_values(inputs)] if probe.fmu.is_model_exchange else []
     anew = do.exit_initialization_mode, *sets, read
@@ -106,11 +106,11 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     """Values that are set when instantiated or in initialization mode are read afterwards, and have the same
     effect in both states.
     """
-    readable = values.readable_in_initialization(probe.fmu)
-    instantiated = [v for v in values.settable_before(probe.fmu) if v.initial == "exact"]
+    readable = probe.fmu.readable_in_initialization
+    instantiated = [v for v in probe.fmu.settable_before if v.initial == "exact"]
     for chosen, before, after, when in (
         (instantiated, (), (do.initialise,), "when instantiated"),
-        (values.settable_in_initialization(probe.fmu), (do.initialise,), (), "in initialization mode"),
+        (probe.fmu.settable_in_initialization, (do.initialise,), (), "in initialization mode"),
     ):
         taken = do.others_accepted(probe, chosen, *before)
         at_once = [(v, x) for v, x in taken if v in readable]
@@ -135,7 +135,7 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[Row]:
     the others keep theirs: near its start value, or far from it within its range; a String also if it is
     long or empty. The FMU may refuse a value.
     """
-    chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
+    chosen = probe.fmu.settable_while_stepping[: do.MOST_VARIABLES]
     for taken in do.others_in_turn(probe, chosen, do.begin, do.step()):
         others, actions = chosen, [do.begin, do.step()]
         for i, (v, x) in enumerate(taken, 1):
@@ -162,7 +162,7 @@ def setting_ends_nothing(probe: Probe) -> Iterator[str]:
     """After an input or a tunable parameter that the FMU takes with fmi2Warning or discards, or a Boolean
     that it takes, in initialization mode or at a communication point, a step is made.
     """
-    chosen = values.settable_while_stepping(probe.fmu)[: do.MOST_VARIABLES]
+    chosen = probe.fmu.settable_while_stepping[: do.MOST_VARIABLES]
     far = [(v, x) for v in chosen for x in values.far_values(v)]
     for first, then in (((do.initialise,), (do.exit_initialization_mode,)), ((do.begin, do.step()), ())):
         taken = {(v.name, x) for pairs in do.others_in_turn(probe, chosen, *first) for v, x in pairs}
@@ -179,7 +179,7 @@ def setting_ends_nothing(probe: Probe) -> Iterator[str]:
 @differential("2.1.2")
 def strings_are_copied(probe: Probe) -> Iterator[Row]:
     """A String that is set is copied: it is read as it was although its memory was overwritten."""
-    chosen = [v for v in values.settable_in_initialization(probe.fmu) if v.base_kind == "String"]
+    chosen = [v for v in probe.fmu.settable_in_initialization if v.base_kind == "String"]
     kept = [v for v in chosen[: do.MOST_VARIABLES] if v.start and values.keeps_its_value(v)]
     for pair in values.start_values(kept):
         set_start = do.initialise, do.set_values([pair]), do.exit_initialization_mode
@@ -204,9 +204,9 @@ def values_follow_what_is_set(probe: Probe) -> Iterator[str]:
 def _rows_of_what_follows(probe: Probe) -> Iterator[Row]:
     fmu, enter = probe.fmu, do.enter_continuous_time_mode
     modes = [
-        ("initialization mode", (do.initialise,), values.settable_in_initialization(fmu),
-         values.readable_in_initialization(fmu)),
-        ("event mode", (do.begin,), values.settable_while_stepping(fmu), fmu.variables),
+        ("initialization mode", (do.initialise,), fmu.settable_in_initialization,
+         fmu.readable_in_initialization),
+        ("event mode", (do.begin,), fmu.settable_while_stepping, fmu.variables),
         ("continuous-time mode", (do.begin, enter), values.continuous_reals(probe, "input"), fmu.variables),
     ]  # fmt: skip
     for mode, begin, settable, readable in modes if fmu.is_model_exchange else modes[:1]:
@@ -237,7 +237,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[Row]:
     """Inputs and tunable parameters can be set at communication points; setting their present values loses
     no state.
     """
-    chosen = values.settable_while_stepping(probe.fmu)
+    chosen = probe.fmu.settable_while_stepping
     if not chosen:
         raise NotApplicableError("there is neither an input nor a tunable parameter")
     yield from paths.rows(probe, paths.set_again, with_plain=True)
@@ -248,7 +248,7 @@ def tunable_parameters_have_an_effect(probe: Probe) -> Iterator[str]:
     """If a tunable parameter changes an output in the first step where it is set in initialization mode, it
     changes something where it is set after it: in that step, or later.
     """
-    others = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin)
+    others = do.others_accepted(probe, probe.fmu.settable_while_stepping, do.begin)
     tunable = [(v, x) for v, x in others if v.causality == "parameter"]
     if not tunable:
         raise NotApplicableError("there is no tunable parameter")

@@ -50,9 +50,9 @@ def state_holds_the_mode(probe: Probe) -> Iterator[Row]:
     mode, with what was set there; set back while stepping, one of initialization mode is in that mode.
     """
     state = "the state of initialization mode that was set back"
-    read = do.read(values.readable_in_initialization(probe.fmu), f"in {state}")
+    read = do.read(probe.fmu.readable_in_initialization, f"in {state}")
     end = read, do.exit_initialization_mode, do.run(2)
-    other = do.set_others(values.settable_in_initialization(probe.fmu)[:1])
+    other = do.set_others(probe.fmu.settable_in_initialization[:1])
     varied = do.save(), do.restore(), do.initialise, do.save(1), other, do.restore(1), *end
     yield Row(f"from {state}", varied, (do.initialise, *end), "in the state {state!r}", OF_EXPERIMENT)
     first = do.initialise, do.save(), do.exit_initialization_mode, do.expect(do.run(3))
@@ -115,7 +115,7 @@ def state_holds_every_value(probe: Probe) -> Iterator[Row]:
     """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
     state gives all variables again, at once and in the steps that follow, as if it had not been saved.
     """
-    pairs = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
+    pairs = do.others_accepted(probe, probe.fmu.settable_while_stepping, do.begin, do.step())
     moving = do.start, do.step(), do.set_values(pairs), do.set_derivatives(), do.step(), do.set_derivatives()
     slopes = values.continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
     end = do.read_all(_SET_BACK), do.read_slopes(slopes, _SET_BACK), do.run_all(3)
@@ -133,10 +133,10 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     changes nothing until the state is set.
     """
     size, to_bytes = do.call("state_size", 0), do.call("state_bytes", 0)
-    first = do.set_values(do.others_accepted(probe, values.settable_before(probe.fmu))), do.begin, do.step()
-    moved = do.set_values(do.others_accepted(probe, values.settable_while_stepping(probe.fmu), *first))
+    first = do.set_values(do.others_accepted(probe, probe.fmu.settable_before)), do.begin, do.step()
+    moved = do.set_values(do.others_accepted(probe, probe.fmu.settable_while_stepping, *first))
     saved = *first, moved, do.step(), do.save(), size
-    strings = [v for v in values.settable_while_stepping(probe.fmu) if v.base_kind == "String"]
+    strings = [v for v in probe.fmu.settable_while_stepping if v.base_kind == "String"]
     longer = [(v, text) for v in strings for text in values.far_values(v)[-1:]]
     others = do.set_values(do.accepted_together(probe, longer, *first))
     freed = others, size, to_bytes, do.free_state(), do.save(1), do.step()

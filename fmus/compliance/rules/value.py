@@ -32,10 +32,10 @@ def initial_values_are_computed(probe: Probe) -> Iterator[str]:
     """In initialization mode calculated variables have their initial values: no calculated parameter has
     another one after it, and not each of some continuous variables that can be read.
     """
-    readable = values.readable_in_initialization(probe.fmu)
+    readable = probe.fmu.readable_in_initialization
     calculated = [v for v in readable if (v.variability, v.initial) == ("continuous", "calculated")]
     parameters = [v for v in readable if v.causality == "calculatedParameter"]
-    settable, read = values.settable_in_initialization(probe.fmu), do.read([*calculated, *parameters])
+    settable, read = probe.fmu.settable_in_initialization, do.read([*calculated, *parameters])
     others = do.set_values(do.others_accepted(probe, settable, do.initialise))
     ways = ((do.initialise, *sets, read, do.exit_initialization_mode, read) for sets in ((), (others,)))
     for first, after in filter(None, values_of(probe, ways)):
@@ -49,14 +49,18 @@ def initial_values_are_computed(probe: Probe) -> Iterator[str]:
             yield f"{v.name} is {got} in initialization mode: expected {expected}, as after it"
 
 
-def _values(probe: Probe) -> list[tuple[str, str, Any]]:
+_Read = tuple[str, Mapping[str, Any]]
+"""Words for when values were read, and the values by name."""
+
+
+def _values(probe: Probe) -> list[_Read]:
     """Returns what `_values_in_runs` yields, played once."""
     return probe.once("values in runs", lambda: [*_values_in_runs(probe)])
 
 
-def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
-    """Yields when, name and value: of the outputs in initialization mode, of all variables after it, after
-    some steps and in a run over the default experiment, and what is least and largest of each output in that.
+def _values_in_runs(probe: Probe) -> Iterator[_Read]:
+    """Yields the values of the outputs in initialization mode, of all variables after it, after some steps
+    and in a run over the default experiment, and what is least and largest of each output in that.
     """
     ends = zip(_STEPS, itertools.accumulate(_STEPS), strict=True)
     few = [(do.step(count), do.read_all(f"after {end} steps")) for count, end in ends]
@@ -68,39 +72,45 @@ def _values_in_runs(probe: Probe) -> Iterator[tuple[str, str, Any]]:
     outputs = do.comparable_outputs(probe)
     for play in plays:
         for when, where, reading in play.observed:
-            for name, value in reading.values.items() if reading.ok else ():
-                yield when + where, name, value
+            if reading.ok:
+                yield when + where, reading.values
         for reply in play.replies:
             observed: list[Any] = reply.value if reply.is_step and isinstance(reply.value, list) else []
             for v, (least, t, largest, other_t) in zip(outputs, observed, strict=False):
-                yield f"in the default experiment, at {t:g} s", v.name, least
-                yield f"in the default experiment, at {other_t:g} s", v.name, largest
+                yield f"in the default experiment, at {t:g} s", {v.name: least}
+                yield f"in the default experiment, at {other_t:g} s", {v.name: largest}
 
 
-def _with_others(probe: Probe) -> Iterator[list[tuple[str, str, Any]]]:
-    """Yields when, name and value of all variables after initialisation with other values, and after steps
-    with other inputs and tunable parameters, of each run.
+def _with_others(probe: Probe) -> Iterator[Iterator[_Read]]:
+    """Yields the values of all variables after initialisation with other values, and after steps with other
+    inputs and tunable parameters, of each run.
     """
     for run in generator.played(probe):
-        readings = [reading for reading in run.readings[1:] if reading.ok]
-        yield [("in a run with other values", *pair) for r in readings for pair in r.values.items()]
+        yield (("in a run with other values", r.values) for r in run.readings[1:] if r.ok)
 
 
 def _wrong_values(
-    probe: Probe, expected: Callable[[Variable, Any], str], has_others: bool = True
-) -> Iterator[str]:
+    probe: Probe, expected: Callable[[Variable, Any], str], *, of: Callable[[Variable], object],
+    has_others: bool = True,
+) -> Iterator[str]:  # fmt: skip
     """Yields values of variables that are wrong, also with other inputs, if so.
 
-    expected: returns the expectation for a wrong value, or ""
+    expected: returns the expectation for a wrong value, or ""; of: whether a variable may have one
     """
-    variables = {v.name: v for v in probe.fmu.variables}
-    others = itertools.chain(*_with_others(probe)) if has_others else ()
-    for when, name, value in (*_values(probe), *others):
-        if text := expected(variables[name], value) if name in variables else "":
-            yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
+    variables = {v.name: v for v in probe.fmu.variables if of(v)}
+    others = itertools.chain(*_with_others(probe)) if has_others and variables else ()
+    for when, row in itertools.chain(_values(probe), others):
+        for name, value in row.items():
+            if name in variables and (text := expected(variables[name], value)):
+                yield f"{name} is {values.texts(value)[0]} {when}: expected {text}"
 
 
-@rule_of(_wrong_values, "2.1.2, 2.1.7")
+def _rule_of(clause: str, of: Callable[[Variable], object], **options: Any) -> Any:
+    """Makes a function that returns what is expected in place of a wrong value a rule of some variables."""
+    return rule_of(partial(_wrong_values, of=of, **options), clause)
+
+
+@_rule_of("2.1.2, 2.1.7", lambda v: v.base_kind in ("Boolean", "String"))
 def values_are_of_their_types(v: Variable, value: Any) -> str:
     """A Boolean that is read is 0 or 1, and a String not NULL."""
     if v.base_kind == "Boolean" and value not in (0, 1):
@@ -108,14 +118,13 @@ def values_are_of_their_types(v: Variable, value: Any) -> str:
     return "a string, not NULL" if value is None else ""
 
 
-@rule_of(partial(_wrong_values, has_others=False), "advice: other models expect numbers")
-def outputs_are_finite(v: Variable, value: Any) -> str:
+@_rule_of("advice: other models expect numbers", lambda v: v.causality == "output", has_others=False)
+def outputs_are_finite(_: Variable, value: Any) -> str:
     """The Real outputs are finite, in initialization mode and after steps."""
-    is_wrong = v.causality == "output" and isinstance(value, float) and not math.isfinite(value)
-    return "a finite number" if is_wrong else ""
+    return "a finite number" if isinstance(value, float) and not math.isfinite(value) else ""
 
 
-@rule_of(_wrong_values, "2.2.3")
+@_rule_of("2.2.3", lambda v: v.items)
 def enumerations_are_items(v: Variable, value: Any) -> str:
     """An Enumeration that is read is the value of one of its items, between min and max."""
     allowed = [x for x in sorted(v.items) if v.low <= x <= v.high]
@@ -123,20 +132,23 @@ def enumerations_are_items(v: Variable, value: Any) -> str:
     return f"one of {', '.join(map(str, allowed))}" if is_wrong else ""
 
 
-@rule_of(_wrong_values, "2.2.3")
+def _has_a_limit(v: Variable) -> bool:
+    is_number = v.base_kind in ("Real", "Integer") and not v.items
+    return is_number and (math.isfinite(v.low) or math.isfinite(v.high))
+
+
+@_rule_of("2.2.3", _has_a_limit)
 def values_are_in_range(v: Variable, value: Any) -> str:
     """Integers that are read lie between min and max, and Reals up to rounding, outputs after each step of
     the default experiment.
     """
-    if v.base_kind in ("Boolean", "String") or v.items:
-        return ""
     limits = [x for x in (v.low, v.high) if math.isfinite(x)]
     margin = _ROUNDED * max(map(abs, [*limits, 1.0])) if v.base_kind == "Real" else 0.0
     is_wrong = value < v.low - margin or value > v.high + margin
     return f"{v.low}..{v.high}" if is_wrong else ""
 
 
-@rule_of(_wrong_values, "2.1.2")
+@_rule_of("2.1.2", lambda v: v.base_kind == "String")
 def strings_are_utf_8(_: Variable, value: Any) -> str:
     """Strings that are read are UTF-8."""
     is_wrong = isinstance(value, bytes) and value.decode(errors="ignore").encode() != value
@@ -154,7 +166,7 @@ def values_belong_to_references(probe: Probe) -> Iterator[Row]:
         *(do.read([v, v], "read twice in one call") for v in some),
     ]
     yield Row("", (do.start, do.step(2), do.expect(do.read(variables)), *otherwise), (), "", again="{}")
-    others = do.others_accepted(probe, values.settable_while_stepping(probe.fmu), do.begin, do.step())
+    others = do.others_accepted(probe, probe.fmu.settable_while_stepping, do.begin, do.step())
     # after which the first that is read computes values; 4.2.4 has no reading between setting and a step
     for change in ((), others) if probe.fmu.is_model_exchange else ((),):
         first = do.begin, do.step(), do.set_values(change)
@@ -182,21 +194,19 @@ def fixed_values_stay(probe: Probe) -> Iterator[str]:
     variables, kept = probe.fmu.variables, ("constant", "fixed", "tunable")
     held = {v.name: v for v in variables if v.variability in kept or v.causality == "input"}
     first = {v.name: x for v, x in values.start_values(held.values()) if v.variability == "constant"}
-    runs = [({*held}, _values(probe)), *_held_in_runs(probe, held)]
+    runs = ({*held}, iter(_values(probe))), *_held_in_runs(probe, held)
     for names, run in runs:
         known = first.copy()
-        for when, name, read in run:
-            value = values.read_value(read)
-            is_held = name in held and name in names
-            if is_held and not values.same(before := known.setdefault(name, value), value, _ROUNDED):
-                what = "as it is a constant" if held.pop(name).variability == "constant" else "as before"
-                got, expected = values.texts(value, before)
-                yield f"{name} is {got} {when}: expected {expected}, {what}"
+        for when, row in run:
+            for name in [name for name in row if name in held and name in names]:
+                value = values.read_value(row[name])
+                if not values.same(before := known.setdefault(name, value), value, _ROUNDED):
+                    what = "as it is a constant" if held.pop(name).variability == "constant" else "as before"
+                    got, expected = values.texts(value, before)
+                    yield f"{name} is {got} {when}: expected {expected}, {what}"
 
 
-def _held_in_runs(
-    probe: Probe, held: Mapping[str, Variable]
-) -> Iterator[tuple[set[str], list[tuple[str, str, Any]]]]:
+def _held_in_runs(probe: Probe, held: Mapping[str, Variable]) -> Iterator[tuple[set[str], Iterator[_Read]]]:
     """Yields names of variables that do not change in each run with other values, with what is read."""
     for trace, run in zip(generator.excited(probe), _with_others(probe), strict=True):
         causalities = {v.causality for v, _ in itertools.chain(*trace.sets)}

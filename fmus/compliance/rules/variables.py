@@ -129,11 +129,7 @@ class _AliasSet(NamedTuple):
 
 
 def _alias_sets(fmu: FmuFile) -> Iterator[_AliasSet]:
-    sets: dict[tuple[str, int | None], list[Variable]] = {}
-    for v in fmu.variables:
-        if v.reference is not None and v.kind:
-            sets.setdefault((v.base_kind, v.reference), []).append(v)
-    return (_AliasSet(members) for members in sets.values() if len(members) > 1)
+    return (_AliasSet(members) for members in fmu.aliases.values() if len(members) > 1)
 
 
 def _set_twice(fmu: FmuFile) -> Iterator[_AliasSet]:

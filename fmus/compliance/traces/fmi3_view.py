@@ -61,8 +61,10 @@ def as_fmi2(root: Any, variables: Sequence[Variable]) -> tuple[Any, list[Element
             known = (scalars.get(integer(text), ()) for text in element.get("dependencies", "").split())
             text = " ".join(str(number) for numbers in known for number in numbers)
             given = {"dependencies": text} if "dependencies" in element.attrib else {}
-            for number in scalars.get(integer(element.get("valueReference")), ()):
-                etree.SubElement(unknowns, "Unknown", {"index": str(number), **given})
+            # one element for all scalars of an array: their dependencies are as many as the scalars, each
+            numbers = scalars.get(integer(element.get("valueReference")), ())
+            if numbers:
+                etree.SubElement(unknowns, "Unknown", {"index": " ".join(map(str, numbers)), **given})
     return view, list(description.elements)
 
 

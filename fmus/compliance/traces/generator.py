@@ -109,10 +109,10 @@ def played(probe: Probe) -> list[Script]:
 def _generated(probe: Probe) -> Iterator[Trace]:
     lots = random.Random(probe.shared.seed)
     fmu, any_step = probe.fmu, probe.fmu.is_model_exchange or probe.fmu.claims(values.ANY_STEP)
-    settable = values.settable_while_stepping(fmu)[: do.MOST_VARIABLES]
+    settable = fmu.settable_while_stepping[: do.MOST_VARIABLES]
     near, *far = [*do.others_in_turn(probe, settable, do.begin, do.step())] or [[]]
-    before = do.others_accepted(probe, values.settable_before(fmu))
-    early = do.others_accepted(probe, values.settable_in_initialization(fmu), do.initialise)
+    before = do.others_accepted(probe, fmu.settable_before)
+    early = do.others_accepted(probe, fmu.settable_in_initialization, do.initialise)
     is_input = [[pair for pair in pairs if pair[0].causality == "input"] for pairs in (near, *far)]
     usual, odd = (1.0,), (1.0, *_ODD) if any_step else (1.0,)
     for start, first, sets, sizes, is_late in (

@@ -75,7 +75,7 @@ def set_otherwise(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
 
 def set_again(probe: Probe, trace: Trace, _: Trace) -> Iterator[Row]:
     """Yields a run in which all inputs and tunable parameters are set at each point, to what they are."""
-    present = {v.index: (v, x) for v, x in values.start_values(values.settable_while_stepping(probe.fmu))}
+    present = {v.index: (v, x) for v, x in values.start_values(probe.fmu.settable_while_stepping)}
     present |= {v.index: (v, x) for v, x in (*trace.before, *trace.early) if v.index in present}
 
     def everything(pairs: Pairs) -> Action:

@@ -44,8 +44,9 @@ def _save(probe: Probe, _: str) -> Iterator[Action]:
 
 def _set(probe: Probe, state: str) -> Iterator[Action]:
     """Yields actions that set variables to their start values, some alone, so that a message names them."""
-    at_first = {"I": values.settable_before, "M": values.settable_in_initialization}
-    chosen = at_first.get(state, values.settable_while_stepping)(probe.fmu)
+    fmu = probe.fmu
+    at_first = {"I": fmu.settable_before, "M": fmu.settable_in_initialization}
+    chosen = at_first.get(state, fmu.settable_while_stepping)
     pairs = values.start_values(chosen if state != "K" else values.continuous_reals(probe, "input"))
     yield from (do.set_values([pair]) for pair in pairs[:_MOST_ALONE])
     yield from do.set_at_once(pairs[_MOST_ALONE:])
@@ -54,7 +55,7 @@ def _set(probe: Probe, state: str) -> Iterator[Action]:
 def _get(probe: Probe, state: str) -> Iterator[Action]:
     # most FMUs answer when instantiated too, which does no harm
     if state != "I":
-        at_first = values.readable_in_initialization(probe.fmu)
+        at_first = probe.fmu.readable_in_initialization
         variables = at_first if state == "M" else probe.fmu.variables
         yield from (do.glance(variables), do.glance(variables[::-1]))
         # each type is read first after the time is set, which may compute it alone

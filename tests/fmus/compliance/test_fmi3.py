@@ -8,6 +8,7 @@ import pytest
 
 from fmus.compliance.check import NOT_JUDGED, main
 from fmus.compliance.examine import examine
+from fmus.compliance.fmu_file import CO_SIMULATION, FmuFile
 from fmus.compliance.rule import Stage, all_rules
 from fmus.compliance.sentences import titles
 from fmus.generate import builder
@@ -113,3 +114,12 @@ def test_other_versions_are_an_error_and_judged_no_further(
     path = changed(content, stated % b"3.0", stated % version, tmp_path)
     expected = f"fmiVersion '{version.decode()}': expected '2.0' or '3.0'"
     assert broken_rules(path) == {"fmi-version": (expected,)}
+
+
+def test_scalars_of_an_array_share_their_dependencies(tmp_path: Path) -> None:
+    """Dependencies of each scalar alone would take memory by the square of the array's size."""
+    outputs = FmuFile(written(BASE_3, tmp_path)).judged_as(CO_SIMULATION).unknowns["Outputs"]
+    first, second = (unknown for unknown in outputs if unknown.variable.name.startswith("y["))
+    assert (first.variable.name, second.variable.name) == ("y[1,1]", "y[2,1]")
+    assert first.element is second.element
+    assert first.indices is second.indices

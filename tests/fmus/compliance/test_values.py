@@ -1,8 +1,11 @@
 """Two readings differ by more than rounding, each variable at its own size."""
 
+import math
+
 import pytest
 
 from fmus.compliance.script import Reading, Reply
+from fmus.compliance.texts import packed, unpacked
 from fmus.compliance.values import differing
 from fmus.compliance.variable import Variable
 
@@ -64,3 +67,21 @@ def test_a_tolerance_is_relative_to_the_largest_value_of_a_variable_in_all_readi
     assert list(differing(before, after, "later", 1e-12)) == []
     (one,) = differing(before, after, "later", 1e-14)
     assert one.text == "small is 1e-11 later, step 2: expected 0 again"
+
+
+def test_a_reading_of_some_of_the_expected_variables_is_compared() -> None:
+    whole, small = reading(0.5), reading(0.5).groups["Real"][1:]
+    for value, count in ((0.5, 0), (0.6, 1)):
+        reply = Reply("fmi2GetReal", "step complete", 0, [value])
+        assert (
+            len(list(differing([whole, whole], [Reading({"Real": small}, {"Real": reply})] * 2, ""))) == count
+        )
+
+
+def test_numbers_are_sent_with_all_their_bits() -> None:
+    numbers = [0.1, -0.0, math.inf, 5e-324]
+    assert list(map(str, unpacked(packed(numbers)))) == list(map(str, numbers))
+    assert math.isnan(unpacked(packed([math.nan]))[0])
+    for text in ("no digits", "00"):
+        with pytest.raises(ValueError, match=r"bytes|hex"):
+            unpacked(text)

@@ -103,6 +103,24 @@ def start_of(variable: ScalarVariable) -> Any:
     return {"true": 1, "false": 0}[text] if variable.type == "Boolean" else float(text)
 
 
+def test_elements_of_an_array_in_another_order_are_read_by_one_call(path: Path) -> None:
+    """A call for each element would transfer the whole array as often as it has elements."""
+    description, calls = describe(path), list[int]()
+    references = [v.valueReference for v in description.modelVariables if v.name.startswith("matrix_in")]
+    kind = ctypes.CFUNCTYPE(
+        ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t
+    )
+    with FmuInstance("m", path, description) as instance:
+        addresses: Any = instance.library._addresses  # type: ignore[attr-defined]
+        place = fmi3._FUNCTIONS.index("GetFloat64")
+        get = kind(int(addresses[place]))
+        counted = kind(lambda *arguments: calls.append(arguments[4]) or get(*arguments))
+        addresses[place] = ctypes.cast(counted, ctypes.c_void_p).value
+        values = instance.get_values("Real", references)
+        assert instance.get_values("Real", references[::-1]) == values[::-1]
+    assert calls == [6, 6]
+
+
 def test_a_call_may_be_longer_than_the_variables_and_name_a_string_twice(path: Path) -> None:
     description = describe(path)
     references = {v.name: v.valueReference for v in description.modelVariables}
