@@ -64,7 +64,7 @@ class ActuatorParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: 12 V stands for a pulse of 1100 us, -12 V for 1900 us, as on the vehicles",
+        source="chosen: forward is up, so 12 V stands for a pulse of 1100 us, -12 V for 1900 us",
     )
     thruster_table_force: Table = variable(
         tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V),

@@ -35,8 +35,8 @@ REFERENCE_RATES = (
     " The loop then follows a ramp with a lag, as the equations say."
 )
 HELD_CONTROL = (
-    "The controller calculates the force of its voltages, held between communication points:"
-    " a communication step should not be longer than internal_step."
+    "A communication step should not be longer than internal_step: the controller takes its newest voltages"
+    " as applied, the plant gets them at the end of the communication step."
 )
 OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")
 

@@ -39,12 +39,12 @@ class Variable:
         The instance.
     declared : fmpy.model_description.ModelVariable
         The variable of the model description.
-    index : int
-        The element of its array, row by row; 0 of a scalar.
+    element : int
+        The place in the array, row by row; 0 of a scalar.
     """
 
-    def __init__(self, component: "Component", declared: Any, index: int) -> None:
-        self.component, self._index, self._references = component, index, [declared.valueReference]
+    def __init__(self, component: "Component", declared: Any, element: int) -> None:
+        self.component, self._element, self._references = component, element, [declared.valueReference]
         self._name, self._type = f"{component.name}.{declared.name}", declared.type
         self.unit, self._is_array = declared.unit or "", bool(declared.shape)
         items = declared.declaredType.items if declared.type == "Enumeration" else ()
@@ -57,7 +57,7 @@ class Variable:
 
     def get(self) -> Any:
         """Returns the value."""
-        value = self._get(self._references, *self._size)[self._index]
+        value = self._get(self._references, *self._size)[self._element]
         # FMPy decodes Strings of FMI 3.0 but not of FMI 2.0
         return value.decode() if isinstance(value, bytes) else value
 
@@ -72,7 +72,7 @@ class Variable:
         values = self._get(self._references, *self._size) if self._is_array else [None]
         if (given := self._items.get(value, value)) != self._convert(given):
             raise SystemDefinitionError(f"{self._name} = {value!r}: expected a value of type {self._type}")
-        values[self._index] = self._convert(given)
+        values[self._element] = self._convert(given)
         self._set(self._references, values)
 
 
@@ -167,7 +167,7 @@ class Master:
         return self._variables[name]
 
     def exchange(self, signals: Mapping[str, float]) -> None:
-        """Gives every driven input the value of its signal or of its output."""
+        """Notes the next value of every input, from its signal or from the output connected to it."""
         self.values.update(signals)
         for source, target in self.connections:
             value = self.values[target] = self.values[source]
@@ -183,15 +183,17 @@ class Master:
 
     def initialise(self, signals: Mapping[str, float]) -> None:
         """Exchanges initial values until none changes."""
-        # a chain of n connections needs n exchanges, and one more shows that nothing changes
-        for _ in range(len(self.connections) + 2):
+        # a signal, a chain of n connections and an output need n + 2 passes; one more shows no change
+        for _ in range(len(self.connections) + 3):
             before = self.values.copy()
             self.for_each(self.read_outputs)
             self.exchange(signals)
             self.for_each(self.set_inputs)
             if self.values == before:
                 return
-        raise OrchestrationError("initial values do not settle: `simulate` solves algebraic loops")
+        raise OrchestrationError(
+            "initial values do not settle: orchestration.simulate solves algebraic loops"
+        )
 
     def step(self, start: float, end: float, algorithm: str) -> None:
         """Steps all components from `start` to `end` [s]; Gauss-Seidel exchanges before each one."""

@@ -139,7 +139,7 @@ class ThrusterParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: 12 V stands for a pulse of 1100 us, -12 V for 1900 us",
+        source="chosen: forward is up, so 12 V stands for a pulse of 1100 us, -12 V for 1900 us",
     )
     thruster_table_force: Table = variable(
         T200_FORCE,

@@ -20,7 +20,6 @@ from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
 from controller_fmu.l1.matrices import Matrix, SampledLawMatrices, sampled_prediction
 from controller_fmu.l1.parameters import (
-    DEFINITIONS,
     EQUATIONS,
     LARGEST_BOUND,
     LAW_LIMITS,
@@ -75,7 +74,7 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         unit="N",
         min=0.0,
         max=LARGEST_BOUND,
-        source="guess that satisfies the L1-norm condition; per SI unit of the regressor",
+        source="guess within the L1-norm condition; N per SI unit of the regressor",
     )
     sigma_bound: float = variable(10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="guess")
     initial_u_a: float = variable(
@@ -239,7 +238,6 @@ def control(law: LawState, p: Parameters) -> Control:
 
 GUIDE = Guide(
     equations=EQUATIONS
-    + DEFINITIONS
     + """
 x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
 y            = C x = z
@@ -248,33 +246,33 @@ y            = C x = z
     + shared_guide.OBSERVER,
     conventions=shared_guide.CONVENTIONS,
     tuning=(
-        "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (N/V,"
-        " measured) and voltage_limit. The adaptation has to compensate their errors.",
+        "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (measure it) and"
+        " voltage_limit. The adaptation has to compensate their errors.",
         "depth_feedback_gain and rate_feedback_gain determine A_m, the desired dynamics of the loop. Without"
         " augmentation, the depth lags on a ramp by about"
         " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
         "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
         "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. On"
-        " RovDepthPlant the loop tolerates sensor delays of 204, 17 and 131 ms with 100, 1000 and 1e4."
-        " Watch sigma_hat and the voltages as well as the depth.",
+        " RovDepthPlant the loop tolerates a sensor delay of 204 ms with 100, 17 ms with 1000, 131 ms with"
+        " 1e4. Watch sigma_hat and the voltages as well as the depth.",
         "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy."
-        " If an estimate stays on its bound, the bound is too small or the loop too fast.",
+        " If an estimate stays on its bound, the bound is too small or the adaptation too fast.",
         "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
         " With nonlinear_p, large_error_gain = small_error_gain avoids a jump at nonlinear_threshold.",
         "If the derivatives of the reference are known, connect depth_reference_rate and"
-        " depth_reference_acceleration and set reference_feedforward. With inside, the lag of the filter"
-        " remains; with outside, no lag. augmentation then acts on the remaining error.",
+        " depth_reference_acceleration and set reference_feedforward: the value inside leaves the lag of"
+        " the filter, the value outside no lag. augmentation then acts on the remaining error.",
         "adaptation_law piecewise_constant needs no adaptation_gain and no bounds. It differentiates the"
         " depth rate over adaptation_period, so its estimates are noisier. Slow eigenvalues of"
-        " prediction_error_matrix A_s bias them least; an adaptation_period below observer_period"
+        " prediction_error_matrix A_s bias estimates least; an adaptation_period below observer_period"
         " only adds noise.",
         shared_guide.OBSERVER_TUNING,
     ),
     limits=(
         *LAW_LIMITS,
-        "The paper publishes no gains for its vehicle. The column Source says which gains were fitted to the"
-        " nominal rows of its Table 1; the others are guesses. All were tried on RovDepthPlant alone.",
-        "At the sensor delays stated for adaptation_gain, the depth begins to oscillate at 0.8 m: its"
+        "The paper publishes no gains for its vehicle. In the column Source, identified means fitted to the"
+        " nominal rows of its Table 1; most other gains are guesses. All were tried on RovDepthPlant alone.",
+        "At the sensor delays stated for adaptation_gain, a depth held at 0.8 m begins to oscillate: its"
         " standard deviation exceeds 3 mm.",
         shared_guide.VEHICLE_LIMIT,
     ),

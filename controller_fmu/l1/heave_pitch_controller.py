@@ -99,7 +99,7 @@ class Parameters(axis.Parameters):
         unit="N.m",
         min=0.0,
         max=LARGEST_BOUND,
-        source="guess, per SI unit of the regressor",
+        source="guess; N.m per SI unit of the regressor",
     )
     pitch_sigma_bound: float = variable(
         0.3,

@@ -14,6 +14,9 @@ theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_
 sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde^T P B_m))
 omega_hat'   = Gamma Proj(omega_hat, -(x_tilde^T P B_m) u_omega)
 u_a(s)       = -k D(s) (omega_hat u_a + theta_hat^T phi + sigma_hat - v)                    (6)
+C(s)         = k D / (1 + k D)
+Proj(a, b)   = (1 - p) b   where a b > 0 and p = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else b
+             a_max: bound of a; for omega_hat, a = omega_hat - input_gain
 A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
 
 phi          = (|x|_inf, 0)    regressor infinity_norm
@@ -37,11 +40,6 @@ With adaptation_law piecewise_constant, theta_hat = 0, omega_hat = input_gain an
 x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_hat) + B_u sigma_u
 (sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde,   Phi = A_s^-1 (e^(A_s Ts) - I)
 """
-DEFINITIONS = """\
-C(s)         = k D / (1 + k D)
-Proj(a, b)   = (1 - p) b   where a b > 0 and p = ((1 + eps) a^2 / a_max^2 - 1) / eps > 0, else b
-             a_max: bound of a; for omega_hat, a = omega_hat - input_gain
-"""
 
 
 LAW_LIMITS = (
@@ -49,8 +47,8 @@ LAW_LIMITS = (
     " u_p, no delay and no lag of an actuator. The FMU does not check it. The paper proves nothing about"
     " the loop with the extension.",
     "With input_gain_uncertainty above 0, omega_hat multiplies u_a + u_p + u_f but is estimated from"
-    " u_a + u_f, which the proof does not cover. input_gain_regressor adaptive_control_and_extension"
-    " estimates it from all three: this restores the Lyapunov argument but does not improve tracking.",
+    " u_a + u_f, which the proof does not cover. Set input_gain_regressor to adaptive_control_and_extension"
+    " to estimate it from all three: the proof then covers it, but tracking is not better.",
     "In saturation, the predictor gets the limited control. The states of the filter and the integral of the"
     " PI are held if their change would increase the demand. Noise near the limit holds them, too: keep the"
     " limit above the demand and its noise.",
@@ -58,10 +56,9 @@ LAW_LIMITS = (
     " exact for the assumed A_m and given derivatives of the reference; it leaves out the impulse of"
     " acceleration at a corner. The piecewise-constant law estimates e^(A_s Ts) times the disturbance,"
     " without bounds.",
-    "The predictor gets the control of this FMU, held between communication points: a communication step"
-    " should not be longer than internal_step. In a longer step, the predictor and the plant get different"
-    " controls, and the control varies more. For a Gauss-Seidel master, which sets the inputs of a step's"
-    " end, set inputs_at_step_end.",
+    "A communication step should not be longer than internal_step. In a longer step, the predictor gets a new"
+    " control in each internal step, the plant only the last one, and the control varies more. For a"
+    " Gauss-Seidel master, which sets the inputs of a step's end, set inputs_at_step_end.",
 )
 
 

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A depth sensor that fails
 #
-# Each fault changes what one input receives. The depth sensor freezes for 2 s while the vehicle dives, drifts
-# for 40 s while it holds its depth, and loses one sample in five throughout.
+# Each fault changes what one input receives. The depth sensor freezes for 2 s during the dive, drifts
+# for 40 s at constant depth, and loses one sample in five throughout.
 #
 # It needs the FMUs that `l1-depth build --cache` builds.
 

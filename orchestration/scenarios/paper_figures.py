@@ -160,7 +160,7 @@ def _vehicle_panels(curves: Sequence[DrawnRun]) -> str:
     return f"""\
 - (a) Depth, positive down. The grey band is 0.8 m with 5 % on each side.
   A circle marks the settling time of a run, a dotted vertical line the published time.
-  Circles differ in size, so both show if they coincide.
+  Circles differ in size, so that circles in one place stay visible.
 - (b) Thrust, the sum of the thrusters. Horizontal dotted lines: published holding thrust. Inset: first 20 s.
 - (c) Estimates of the uncertainty: theta_hat in the upper panel, sigma_hat in the lower one.
 - (d) Tracking error: depth minus reference. The paper does not draw it.
@@ -174,7 +174,7 @@ Spring and mass oscillate at about 1 Hz. Observer and thrusters delay the feedba
 which sustains the oscillation.
 It is a limit cycle, not noise: with the true depth rate it vanishes.
 Scenarios named ...-ideal use the true depth and depth rate.
-It ends when the thrust holds the vehicle under water, where the spring is gone.
+The oscillation ends when the thrust holds the vehicle under water, where the spring is gone.
 """
 
 

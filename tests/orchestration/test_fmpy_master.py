@@ -4,6 +4,7 @@ import runpy
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -172,6 +173,16 @@ def test_strings_go_over_connections(foreign: Mapping[str, Path]) -> None:
     experiment = Experiment(0.4, 0.1, inputs={"one.entry": "Tuesday ä"}, record=("one.length", "two.length"))
     fmus = {"one": foreign["Diary"], "two": foreign["Diary"]}
     assert_same_bits(System(fmus, (("one.page", "two.entry"),)), experiment)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_signal_reaches_the_end_of_a_chain_before_the_first_step(linear: Build, count: int) -> None:
+    names = [f"c{number}" for number in range(count)]
+    connections = [(f"{a}.y[1]", f"{b}.u[1]") for a, b in pairwise(names)]
+    experiment = Experiment(0.2, 0.1, signals={"c0.u[1]": Cosine(1.0, 6.0)})
+    # the order against the chain: each pass carries values over one connection
+    system = System(dict.fromkeys(reversed(names), linear(a=-2.0, d=((0.5,),))), connections)
+    assert_same_bits(system, experiment)
 
 
 def test_initial_values_that_do_not_settle_are_an_error(linear: Build, temporary: Path) -> None:

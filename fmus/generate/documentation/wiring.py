@@ -81,7 +81,7 @@ def diagram(block: Block, connected: Iterable[Connection]) -> str:
     """Returns the block as SVG: inputs at the left, outputs at the right, in groups of the same other FMU."""
     fmus = {one.own: one.fmus for one in connected}
     left = _rows(block.of_causality("input"), fmus, "optional")
-    right = _rows(block.of_causality("output"), fmus, "output only")
+    right = _rows(block.of_causality("output"), fmus, "not connected")
     longest = [max((len(text) for text, _ in rows), default=0) for rows in (left, right)]
     width = round(max(_LETTER * sum(longest), 1.3 * _LETTER * len(block.name)) + 6 * _EDGE)
     height = _HEADER + _ROW * max(len(left), len(right)) + _EDGE
@@ -119,7 +119,7 @@ def _rows(
     groups: dict[str, list[str]] = {}
     for port in sorted(declared_variables(variables), key=lambda port: port not in fmus):
         names = fmus.get(port, (rest,))
-        groups.setdefault(names[0] if len(names) == 1 else f"one of {len(names)} FMUs", []).append(port)
+        groups.setdefault(f"{names[0]} or {len(names) - 1} more" if names[1:] else names[0], []).append(port)
     return [
         row for name, ports in groups.items() for row in ((name, False), *((port, True) for port in ports))
     ]
