@@ -49,7 +49,7 @@ class ActuatorParameters:
         False,
         "Whether the table gives the voltages, in place of the gain",
         variability="fixed",
-        source="assumed: the paper has a line, (11)",
+        source="assumed: the paper has a straight line, (11)",
     )
     thruster_scale: Vector = variable(
         (1.0, 1.0),
@@ -64,7 +64,7 @@ class ActuatorParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: forward is up, so 12 V stands for a pulse of 1100 us, -12 V for 1900 us",
+        source="chosen: positive is down, forward is up: 12 V means a pulse of 1100 us, -12 V for 1900 us",
     )
     thruster_table_force: Table = variable(
         tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V),

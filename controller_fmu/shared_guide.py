@@ -13,9 +13,9 @@ CONVENTIONS = (
     " each thruster takes half of the demand.",
     "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
     "Angles are in rad; roll and pitch may stay at 0 if they are not measured.",
-    "thruster_tabulated interpolates the voltages linearly in thruster_table_force. thruster_scale n is the"
-    " number of thrusters that a voltage drives. Table and n describe the vehicle. A force of exactly 0"
-    " gives 0 V.",
+    "With thruster_tabulated, voltages are interpolated linearly over thruster_table_force. thruster_scale n"
+    " is the number of thrusters that a voltage drives. Table and n describe the vehicle. A force of"
+    " exactly 0 gives 0 V.",
 )
 ALLOCATION = """\
 voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)   Maalouf et al. (2013), (11)

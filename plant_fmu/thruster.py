@@ -124,7 +124,7 @@ class ThrusterParameters:
         False,
         "Whether the table gives the force, in place of gain, dead zone, reverse ratio and curvature",
         variability="fixed",
-        source="assumed: the paper has a line, (11)",
+        source="assumed: the paper has a straight line, (11)",
     )
     thruster_scale: Pair = variable(
         (1.0, 1.0),
@@ -139,7 +139,7 @@ class ThrusterParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: forward is up, so 12 V stands for a pulse of 1100 us, -12 V for 1900 us",
+        source="chosen: positive is down, forward is up: 12 V means a pulse of 1100 us, -12 V for 1900 us",
     )
     thruster_table_force: Table = variable(
         T200_FORCE,

@@ -252,19 +252,19 @@ y            = C x = z
         " augmentation, the depth lags on a ramp by about"
         " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
         "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
-        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. On"
-        " RovDepthPlant the loop tolerates a sensor delay of 204 ms with 100, 17 ms with 1000, 131 ms with"
-        " 1e4. Watch sigma_hat and the voltages as well as the depth.",
+        "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The"
+        " loop with RovDepthPlant tolerates a sensor delay of 204 ms with 100, only 17 ms with 1000, but"
+        " 131 ms with 1e4. Watch sigma_hat and the voltages as well as the depth.",
         "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy."
         " If an estimate stays on its bound, the bound is too small or the adaptation too fast.",
         "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
         " With nonlinear_p, large_error_gain = small_error_gain avoids a jump at nonlinear_threshold.",
         "If the derivatives of the reference are known, connect depth_reference_rate and"
-        " depth_reference_acceleration and set reference_feedforward: the value inside leaves the lag of"
-        " the filter, the value outside no lag. augmentation then acts on the remaining error.",
+        " depth_reference_acceleration and set reference_feedforward: 'inside' leaves the lag of the"
+        " filter, 'outside' no lag. augmentation then acts on the remaining error.",
         "adaptation_law piecewise_constant needs no adaptation_gain and no bounds. It differentiates the"
         " depth rate over adaptation_period, so its estimates are noisier. Slow eigenvalues of"
-        " prediction_error_matrix A_s bias estimates least; an adaptation_period below observer_period"
+        " prediction_error_matrix A_s give the least bias; an adaptation_period below observer_period"
         " only adds noise.",
         shared_guide.OBSERVER_TUNING,
     ),

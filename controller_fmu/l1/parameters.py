@@ -36,7 +36,7 @@ u_p          = 0                                   augmentation none
                -a_1 |e|^alpha sgn(e)               augmentation nonlinear_p   (8), |e| > delta
                -a_2 e / delta^(1 - alpha)                                     (8), elsewhere
 
-With adaptation_law piecewise_constant, theta_hat = 0, omega_hat = input_gain and, at every Ts:
+With adaptation_law piecewise_constant, theta_hat = 0, omega_hat = input_gain; new estimates at every Ts:
 x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_hat) + B_u sigma_u
 (sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde,   Phi = A_s^-1 (e^(A_s Ts) - I)
 """
@@ -51,7 +51,7 @@ LAW_LIMITS = (
     " to estimate it from all three: the proof then covers it, but tracking is not better.",
     "In saturation, the predictor gets the limited control. The states of the filter and the integral of the"
     " PI are held if their change would increase the demand. Noise near the limit holds them, too: keep the"
-    " limit above the demand and its noise.",
+    " demand and its noise below the limit.",
     "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
     " exact for the assumed A_m and given derivatives of the reference; it leaves out the impulse of"
     " acceleration at a corner. The piecewise-constant law estimates e^(A_s Ts) times the disturbance,"

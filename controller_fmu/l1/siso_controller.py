@@ -194,7 +194,7 @@ y            = C x,   u saturated at +-control_limit
         " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta above 0"
         " where the reference crosses zero.",
         "If the derivatives of the reference are known, connect reference_rate and reference_acceleration and"
-        " set reference_feedforward: the value inside leaves the lag of the filter, the value outside no lag."
+        " set reference_feedforward: 'inside' leaves the lag of the filter, 'outside' no lag."
         " Both need C B_m = 0.",
         "adaptation_law piecewise_constant has no fast loop and needs no gain or bounds; set"
         " adaptation_period to the communication step, and prediction_error_matrix A_s so slow that"

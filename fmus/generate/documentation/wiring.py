@@ -119,7 +119,9 @@ def _rows(
     groups: dict[str, list[str]] = {}
     for port in sorted(declared_variables(variables), key=lambda port: port not in fmus):
         names = fmus.get(port, (rest,))
-        groups.setdefault(f"{names[0]} or {len(names) - 1} more" if names[1:] else names[0], []).append(port)
+        groups.setdefault(f"{names[0]} or {len(names) - 1} more FMUs" if names[1:] else names[0], []).append(
+            port
+        )
     return [
         row for name, ports in groups.items() for row in ((name, False), *((port, True) for port in ports))
     ]
