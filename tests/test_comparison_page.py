@@ -62,6 +62,7 @@ def plants(row: Row) -> ManyRuns:
     return row.plants
 
 
+@pytest.mark.slow
 def test_the_page_is_short_and_begins_with_what_it_does_not_show() -> None:
     page = comparison_page.page()
     assert sum(bool(re.search(r"\w", word)) for word in page.split()) <= 1500  # not the rules of tables
@@ -100,6 +101,7 @@ def test_delay_margins_are_over_the_noise_of_every_draw(document: Score, numbers
     assert in_median == [row.name for row in numbers.tuned if median(row.delay_margins) >= bound]
 
 
+@pytest.mark.slow
 def test_wider_ranges_lower_no_cost_of_a_law_that_ended_at_a_limit(numbers: Any) -> None:
     """A flat cost is excepted; each limit is ten times as far, or the FMU's."""
     protocol = read_protocol()
@@ -146,6 +148,7 @@ def test_no_law_is_behind_its_own_special_case(fronts: Any, monkeypatch: pytest.
         comparison_page.page()
 
 
+@pytest.mark.slow
 def test_the_gains_of_a_point_have_its_error_and_its_variation(fronts: Any, scenario_fmus: None) -> None:
     """Of the point with the least error of each law on the paper's vehicle."""
     protocol = read_protocol()
@@ -302,6 +305,7 @@ def test_the_committed_run_is_what_the_page_reads_of_a_comparison() -> None:
     assert len(text) < 300_000  # a document of the repository, not a store of results
 
 
+@pytest.mark.slow
 def test_the_run_is_of_the_protocol_and_the_gains_that_ship(document: Score) -> None:
     protocol = read_protocol()
     assert document.protocol.version == protocol.version

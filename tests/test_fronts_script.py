@@ -212,6 +212,7 @@ def test_a_law_is_never_behind_its_special_case(tmp_path: Path) -> None:
     assert sum(gains["b"] < 0.3 for gains in begins) > len(begins) / 2
 
 
+@pytest.mark.slow
 def test_a_special_case_has_the_run_of_the_law_that_contains_it(protocol: Protocol) -> None:
     for name, (special, gains) in SPECIAL_CASES.items():
         law, case = tuned(protocol, name), tuned(protocol, special)

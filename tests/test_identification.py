@@ -132,6 +132,7 @@ def test_the_shipped_parameter_file_is_the_fit_with_small_bounds() -> None:
 # Fits and effects
 
 
+@pytest.mark.slow
 def test_the_fits_have_the_figures_of_the_document(runs: Any) -> None:
     for _, end in ENDS:
         given = fits.document(end["values"], runs.of_all_seeds(end["values"]), end["cost"])["figures"]
@@ -306,6 +307,7 @@ def test_the_script_finds_gains_as_good_as_those_that_ship(runs: Any) -> None:
 # Points that agree with the nominal row
 
 
+@pytest.mark.slow
 def test_every_point_that_agrees_does(points: dict[str, np.ndarray]) -> None:
     assert len(points["draw"]) > 10
     for name in (L1, EXTENDED):

@@ -32,6 +32,7 @@ ADDITIONS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),
     [("nominal-feedforward", {}), ("example-extended", ADDITIONS)],

@@ -51,6 +51,7 @@ def run_with(controller: Path, signals: dict[str, Any], settings: dict[str, Any]
     return simulate(chosen.system, chosen.experiment)
 
 
+@pytest.mark.slow
 def test_a_controller_in_c_gives_the_depth_of_the_same_block(
     scenario_fmus: None, c_pid: Path, tmp_path: Path
 ) -> None:

@@ -69,6 +69,7 @@ def test_a_run_warns_of_a_step_longer_than_the_internal_step_of_a_controller(
     )
 
 
+@pytest.mark.slow
 def test_a_run_does_not_warn_of_a_law_that_takes_no_control_as_delivered(
     scenario_fmus: None, built: Fmus
 ) -> None:

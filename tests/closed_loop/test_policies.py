@@ -123,6 +123,7 @@ def test_the_law_of_a_block_gives_the_recording_of_the_block(
         np.testing.assert_allclose(own[name], block[name], rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_one_recording_wherever_and_however_often_it_runs(lead: str) -> None:
     """In this process, after a reset, in a process of its own, in those of many runs; with other gains."""
     chosen = loaded(lead)
@@ -140,6 +141,7 @@ def test_one_recording_wherever_and_however_often_it_runs(lead: str) -> None:
     assert np.array_equal(many[1].values, run(loaded(lead, kp=8.0)).values)
 
 
+@pytest.mark.slow
 def test_a_scenario_file_names_it_relative_to_itself(lead: str, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(
         'base = "nominal-extended"\n[components]\ncontroller = "lead.py:Lead"\n'

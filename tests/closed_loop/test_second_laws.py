@@ -100,6 +100,7 @@ def test_a_second_program_gives_the_figures_of_an_observer_with_two_speeds(built
         check(built[ADRC], {**settings, **TWO_SPEEDS})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*LAWS, *L1_FORMS, "two speeds"])
 def test_a_second_program_saturates_alike_and_follows_an_accelerated_reference(
     built: Fmus, name: str

@@ -100,6 +100,7 @@ def rmse(depth: np.ndarray, reference: np.ndarray | float) -> float:
     return math.sqrt(np.mean((depth - reference) ** 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", slow_but(LOOPS.keys() - {*CONTAINED}, LOOPS))
 def test_a_second_program_moves_in_heave_and_pitch_alike(built: Fmus, loop: str) -> None:
     """RMSE of the depth, and root of the mean square of the pitch, to 0.5 %; PID has no law to be integrated.

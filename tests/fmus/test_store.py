@@ -171,6 +171,7 @@ for i in range(300):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("entry")
 def test_processes_that_write_one_entry_leave_a_whole_one() -> None:
     contents = ["first" * 10_000, "other" * 20_000]

@@ -60,6 +60,7 @@ def test_shipped_scenarios_have_the_bits_of_the_compiled_loop(
     assert_same_bits(chosen.system, experiment)
 
 
+@pytest.mark.slow
 @given(
     algorithm=st.sampled_from(Algorithm),
     order=st.permutations(["one", "two", "three"]),
@@ -82,6 +83,7 @@ def test_other_systems_have_the_bits_of_the_compiled_loop(
     assert_same_bits(System(fmus, connections), experiment)
 
 
+@pytest.mark.slow
 def test_arrays_of_fmi_3_have_elements(
     built: Mapping[str, Path], fmi3_built: Mapping[str, Path], scenario_fmus: None
 ) -> None:

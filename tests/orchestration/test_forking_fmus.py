@@ -81,6 +81,7 @@ def processes_of(temporary: Path) -> list[psutil.Process]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "waits"),
     [
@@ -102,6 +103,7 @@ def test_each_sample_has_its_own_metrics_or_the_cause(
     assert any(row["error"] for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "waits"), [fork for fork in FORKS if fork.values[0] != "fmi2Reset"])
 def test_a_run_ends_with_the_cause_and_its_child(forker: Build, call: str, waits: str) -> None:
     """With a timeout, than which its one step takes less, and in this process: there the child would go on
@@ -197,6 +199,7 @@ def test_a_process_that_the_program_forks_between_steps_goes_on(linear: Build) -
         assert goes_on()
 
 
+@pytest.mark.slow
 def test_forks_of_a_thread_that_calls_no_fmu_are_left_alone(linear: Build) -> None:
     """While an FMU is busy in another thread."""
     statuses, numbers = [], []

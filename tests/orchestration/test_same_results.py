@@ -177,6 +177,7 @@ def small_protocol(repetitions: int, path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "repetitions", "workers"),
     [("score of 8", 8, 1), pytest.param("score", 24, 2, marks=pytest.mark.slow)],

@@ -105,6 +105,7 @@ def test_every_sea_has_the_variance_of_its_significant_height(
     assert variance(jonswap_sea(height, period, gamma, seed)) == pytest.approx(height**2 / 16.0)
 
 
+@pytest.mark.slow
 def test_rayleigh_amplitudes_scatter_the_energy_of_seeds_as_records_of_one_sea() -> None:
     """Energies of components are exponential; the variance has the scatter that their shares give.
 

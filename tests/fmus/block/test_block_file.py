@@ -69,6 +69,7 @@ def test_every_block_that_a_file_defines_is_found(tmp_path: Path) -> None:
         assert [block.name for block in blocks] == ["First", "Second"]
 
 
+@pytest.mark.slow
 def test_the_python_flavour_carries_what_lies_beside_the_file(tmp_path: Path) -> None:
     """However it is imported; the module of the FMU is imported where nothing else of it can be found."""
     (tmp_path / "folder").mkdir()
@@ -146,6 +147,7 @@ def test_a_clock_that_is_read_once_at_an_import_is_a_constant(tmp_path: Path) ->
         check_trace(trace(block))
 
 
+@pytest.mark.slow
 def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -231,6 +233,7 @@ def test_a_file_that_cannot_be_a_module_is_refused(file: str, message: str, tmp_
 
 
 # as it is traced, or called, or at the end of the reference results alone
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("expression", "flavour"),
     [
@@ -318,6 +321,7 @@ def test_the_sampling_period_of_a_new_block_cannot_change_during_a_run(tmp_path:
         assert [v.name for v in parameters if v.variability == "fixed"] == ["period", "internal_step"]
 
 
+@pytest.mark.slow
 def test_a_scenario_takes_the_only_block_of_a_file(tmp_path: Path) -> None:
     """Its FMU is built once, and again when the file has changed."""
     path = write(tmp_path)

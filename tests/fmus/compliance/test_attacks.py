@@ -52,6 +52,7 @@ def test_python_modules_inside_an_fmu_are_not_imported(tmp_path: Path) -> None:
     assert verdict["counts"]["deviation"] > 0  # of archive-layout
 
 
+@pytest.mark.slow
 def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dropped(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -186,6 +187,7 @@ def test_more_members_than_any_tool_writes_are_not_unpacked(tmp_path: Path) -> N
     assert broken_rules(path)["archive-is-zip"] == ("100001 files: expected at most 100000",)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limits of this kind")
 @pytest.mark.parametrize("command", ["l1-depth check", "python -m fmus.compliance"])
 def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(

@@ -25,6 +25,7 @@ from tests.mutants.slaves import write_slave
 from .archives import FALSE_CLAIMS, GLOBALS, STEP, Members, patched, write
 
 
+@pytest.mark.slow
 def test_a_discarded_step_whose_termination_has_no_status_of_fmi_is_a_finding(tmp_path: Path) -> None:
     value = "s == fmi2Terminated, fmi2False"
     patch = {STEP: f"{STEP} return fmi2Discard;", value: f"{value[:-9]}fmi2True; return (fmi2Status)-5"}
@@ -102,6 +103,7 @@ def test_a_slow_fmu_is_not_judged_where_it_takes_too_long(tmp_path: Path) -> Non
     assert results["steps-and-terminates"].not_judged == reason
 
 
+@pytest.mark.slow
 def test_capabilities_that_are_claimed_but_not_there_are_caught(
     python_built: Mapping[str, Path], tmp_path: Path
 ) -> None:
@@ -184,6 +186,7 @@ def test_an_instance_that_a_licence_refuses_after_others_is_tried_alone(tmp_path
     assert result.outcome == "passed", result
 
 
+@pytest.mark.slow
 def test_a_finding_that_another_finding_hinders_from_being_repeated_stays(tmp_path: Path) -> None:
     """The tour that finds the unwritten value fails in a new process for what was found meanwhile."""
     value, save = "value[i] = vr[i] < N_VALUES ?", "if (!FMUState) return missing(instance, NAME(GetFMUState)"

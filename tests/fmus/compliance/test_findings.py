@@ -234,6 +234,7 @@ def test_a_message_names_no_temporary_folder(text: str, shown: str) -> None:
     assert without_folders(text) == shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mutation", ["a changed working directory", "percent signs are not decoded"])
 def test_no_finding_names_a_folder_of_the_check(mutation: str, tmp_path: Path) -> None:
     """The former names a folder as the setting, the latter in its own message."""

@@ -46,6 +46,7 @@ def test_ours_breaks_no_rule(content: Members, names: tuple[str, ...] | None, tm
     assert names is None or len(results) == len(names)
 
 
+@pytest.mark.slow
 def test_adjoint_derivatives_by_a_table_with_a_jump_are_numbers(fmi3_built: Fmus) -> None:
     """The table of thrusters has 0 N at two voltages."""
     (result,) = examine(fmi3_built["L1DepthController"], names=["directional-derivatives"])
@@ -56,8 +57,8 @@ def test_adjoint_derivatives_by_a_table_with_a_jump_are_numbers(fmi3_built: Fmus
     ("mutation", "rule"),
     [
         ("a state that is not restored", "state-restores"),
-        ("any token", "wrong-guid-is-refused"),
-        ("step mode is not entered", "steps-with-events"),
+        pytest.param("any token", "wrong-guid-is-refused", marks=pytest.mark.slow),
+        pytest.param("step mode is not entered", "steps-with-events", marks=pytest.mark.slow),
     ],
 )
 def test_behaviour_is_found_by_its_rule_alone(mutation: str, rule: str, tmp_path: Path) -> None:
@@ -66,6 +67,7 @@ def test_behaviour_is_found_by_its_rule_alone(mutation: str, rule: str, tmp_path
     assert [text for r in results for text in r.messages if "fmi2" in text] == []
 
 
+@pytest.mark.slow
 def test_clocks_and_scheduled_execution_are_said_to_be_not_judged(tmp_path: Path) -> None:
     path = write_slave(tmp_path, slave="Fmi3", is_clocked=True)
     (result,) = examine(path, names=["clocks-have-partitions"])

@@ -76,6 +76,7 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     assert all(isinstance(message, str) for rule in fmu["rules"] for message in rule["messages"])
 
 
+@pytest.mark.slow
 def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
     deviating: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,6 +266,7 @@ def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
     assert [rule.name for rule in of_version(all_rules(), 2) if rule.name not in shown] == []
 
 
+@pytest.mark.slow
 def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
     legal: dict[str, bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -289,6 +291,7 @@ def test_names_and_expectations_in_messages_are_not_empty(tmp_path: Path) -> Non
     assert str(refusal([Message(3, " ", None, None)])).endswith("it logged nothing")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the environment is read on Linux")
 def test_a_setting_that_was_empty_is_expected_to_stay(tmp_path: Path) -> None:
     path = write_slave(tmp_path, "a changed environment variable", slave="Oscillator")

@@ -75,6 +75,7 @@ def _traces(fmu: Path, seed: int, folder: Path) -> list[Trace]:
         probe.process.close()
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_traces_again_and_another_gives_others(tmp_path: Path) -> None:
     fmu = _mutant("reset keeps parameters", tmp_path)
     first, again, other = (_traces(fmu, seed, tmp_path / str(i)) for i, seed in enumerate((1, 1, 2)))
@@ -82,7 +83,7 @@ def test_a_seed_gives_the_same_traces_again_and_another_gives_others(tmp_path: P
     assert [len(trace.legs) for trace in first] == [7, 7, 7, 7]
 
 
-@pytest.mark.parametrize("name", slow_but(["reset keeps parameters", "step mode is not entered"], SHORTEST))
+@pytest.mark.parametrize("name", slow_but(["reset keeps parameters"], SHORTEST))
 def test_a_finding_is_shown_by_calls_each_of_which_it_needs(name: str, tmp_path: Path) -> None:
     shown = _shown(_mutant(name, tmp_path))
     assert [*shown.calls] == SHORTEST[name]
@@ -90,11 +91,13 @@ def test_a_finding_is_shown_by_calls_each_of_which_it_needs(name: str, tmp_path:
     assert in_programs == ("eventModeUsed" in shown.calls[0],) * 2
 
 
+@pytest.mark.slow
 def test_a_finding_about_several_runs_has_the_reason_why_no_calls_show_it(tmp_path: Path) -> None:
     shown = _shown(_mutant("logs categories that were not chosen", tmp_path))
     assert (shown.calls, shown.reason) == ((), "none are known that show it alone")
 
 
+@pytest.mark.slow
 def test_programs_are_written_for_the_findings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fmu = _mutant("reset keeps parameters", tmp_path)
     assert main([str(fmu), "--reproduce", str(tmp_path / "programs"), "--seed", "3"]) == 1

@@ -283,6 +283,7 @@ def test_a_cortex_m4_takes_ten_times_the_instructions_for_doubles_and_a_seventh_
     assert 6 < instructions[1] / instructions[2] < 8
 
 
+@pytest.mark.slow
 def test_floats_have_their_differences_from_doubles_in_the_table_after_a_day_too(tmp_path: Path) -> None:
     """A float has 24 bits: sums of some ten terms differ by 1e-7 to 1e-5, a missed sample by 0.1."""
     with builder.loaded("PidDepthController") as (traced,):

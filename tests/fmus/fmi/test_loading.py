@@ -28,6 +28,7 @@ def identified(fmu: Path, path: Path, identifier: str) -> Path:
     return redescribed(fmu, path, lambda text: re.sub('modelIdentifier="[^"]*"', stated, text))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("threads", "runs"),
     [(2, 40), (8, 40), pytest.param(8, 4000, marks=pytest.mark.slow)],

@@ -53,6 +53,7 @@ def odd_block(**changes: Any) -> Block:
     return replace(block, **changes)
 
 
+@pytest.mark.slow
 def test_odd_texts_and_types_survive(tmp_path: Path, load: Any) -> None:
     fmu = load(write_fmu(odd_block(), tmp_path)).begin()
     integer, boolean = [fmu.references["count"]], [fmu.references["is_late"]]

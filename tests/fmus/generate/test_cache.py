@@ -169,6 +169,7 @@ def test_another_version_of_a_library_makes_it_stale(
     assert current(order) is None
 
 
+@pytest.mark.slow
 def test_python_without_assertions_and_docstrings_makes_it_stale(order: BuildRequest, tmp_path: Path) -> None:
     """A block may depend on `__debug__`, and its description on a docstring."""
     code = """
@@ -366,6 +367,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builder, "BuildCache", partial(BuildCache, begun=LATER))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_cache")
 def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -386,6 +388,7 @@ def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     assert path.read_bytes() != older
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("own_cache")
 def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

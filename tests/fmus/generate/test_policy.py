@@ -55,6 +55,7 @@ def force(file: Path) -> float:
     return run(file)["own.control_force"][-1]
 
 
+@pytest.mark.slow
 def test_it_carries_its_modules_and_files_and_runs_where_they_are_gone(policy: Path) -> None:
     path = fmu_of_class(f"{policy}:Policy")
     for file in (policy, policy.with_name("helper.py"), policy.with_name("weights.npy")):
@@ -63,6 +64,7 @@ def test_it_carries_its_modules_and_files_and_runs_where_they_are_gone(policy: P
     assert recording["own.control_force"].tolist() == 11 * [3.0]
 
 
+@pytest.mark.slow
 def test_a_change_of_any_of_its_files_is_run_also_in_the_same_process(policy: Path) -> None:
     """Modules of the FMUs before are loaded."""
     changes = {
@@ -79,6 +81,7 @@ def test_a_change_of_any_of_its_files_is_run_also_in_the_same_process(policy: Pa
     assert len(fmus) == len(changes)
 
 
+@pytest.mark.slow
 def test_it_is_made_once_and_two_builds_are_the_same_bytes(
     policy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -90,12 +93,14 @@ def test_it_is_made_once_and_two_builds_are_the_same_bytes(
     assert not [name for name, inside in members(path).items() if str(tmp_path).encode() in inside]
 
 
+@pytest.mark.slow
 def test_its_state_is_saved_if_it_can_be_copied(policy: Path) -> None:
     assert (interface(policy).canGetAndSetFMUstate, interface(policy).canSerializeFMUstate) == (True, False)
     policy.write_text(POLICY.replace("= offset", "= offset; self.calls = (i for i in [])"))
     assert not interface(policy).canGetAndSetFMUstate
 
 
+@pytest.mark.slow
 def test_a_module_that_hides_one_of_python_hides_it_from_the_users_modules_alone(policy: Path) -> None:
     policy.with_name("helper.py").rename(policy.with_name("json.py"))
     policy.write_text(POLICY.replace("from helper", "from json"))
@@ -135,6 +140,7 @@ def test_a_file_of_which_none_can_be_made_is_refused(
         System({"own": f"{policy}:Policy"})
 
 
+@pytest.mark.slow
 def test_an_error_of_a_run_names_time_and_line(policy: Path) -> None:
     edited("return {", 'assert time < 0.45, "too late"; return {')(policy)
     message = r"own at t = 0.5 s: .* my.py:19 at t = 0.5 s: AssertionError: too late"
@@ -313,6 +319,7 @@ def late(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(fmu_of_class(f"{folder / 'own.py'}:Policy"))
 
 
+@pytest.mark.slow
 def test_each_run_and_each_component_begins_without_what_another_left(late: str) -> None:
     """Two components of one class, run twice: 4 lists have an entry for each sample, and one of the start."""
     system = System({"a": late, "b": late})

@@ -145,6 +145,7 @@ def test_loading_leaves_the_import_path_as_it_was(python_built: Fmus, load: Any)
     assert sys.path == before
 
 
+@pytest.mark.slow
 def test_many_instances_one_after_another(python_built: Fmus, load: Any) -> None:
     """PythonFMU alone crashes at the second: it drops a reference that it does not own.
 

@@ -52,6 +52,7 @@ BLOCK = Block.of_module(__name__, "NeedsNumpy", "A block that needs NumPy")
 """
 
 
+@pytest.mark.slow
 def test_a_block_that_imports_numpy_is_for_the_native_flavour(tmp_path: Path) -> None:
     file = tmp_path / "needs_numpy.py"
     file.write_text(NEEDS_NUMPY)

@@ -293,6 +293,7 @@ def collector_starts(phase: str, info: dict[str, int]) -> None:
     exec("global STARTED; import time; STARTED = time.time()", {"__name__": "a_library"})
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_what_the_garbage_collector_calls_meanwhile_is_not_the_blocks() -> None:
     def collects(u: float, x: float, p: Parameters) -> float:
@@ -413,6 +414,7 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(
     assert {position for position, both in outcomes.items() if both != {True, False}} == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
@@ -449,6 +451,7 @@ def serialized(traced: Traced) -> list[str]:
     return [function.serialize() for function in traced.functions().values()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     slow_but(("ThrustAllocation",), ("ThrustAllocation", "L1Controller", "PidDepthController")),

@@ -34,6 +34,7 @@ def test_samples_are_taken_at_events_alone(exchange: Exchange) -> None:
     assert ball["reading"] == 3.7
 
 
+@pytest.mark.slow
 def test_outputs_follow_time_alone_and_states_alone(exchange: Exchange) -> None:
     growth = exchange("Growth").begin()
     assert growth.event()[4:] == (True, 0.1)
@@ -105,6 +106,7 @@ def test_truth_values_change_at_events_alone(exchange: Exchange) -> None:
     assert ball.model.getBoolean(reference) == [True]
 
 
+@pytest.mark.slow
 def test_discrete_reals_change_at_events_alone(exchange: Exchange) -> None:
     tank = exchange("Tank").begin()
     tank["opening"] = 0.5

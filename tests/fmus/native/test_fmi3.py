@@ -114,6 +114,7 @@ def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ExamplePlant", BALL.name])
 def test_scalars_are_variables_with_the_numbers_of_the_arrays(
     of_scalars: dict[str, Path], fmi3_built: Fmus, small_built: Fmus, built: Fmus, name: str
@@ -154,7 +155,7 @@ def test_scalars_have_derivatives_of_their_own(of_scalars: dict[str, Path], tmp_
     assert dependencies["state[1]"] == {"state.x[1]"}
 
 
-@pytest.mark.parametrize("name", slow_but(WITH_EVENTS[:2], [*builder.block_names(), *WITH_EVENTS]))
+@pytest.mark.parametrize("name", slow_but(WITH_EVENTS[:1], [*builder.block_names(), *WITH_EVENTS]))
 def test_they_break_no_rule(fmi3_built: Fmus, name: str) -> None:
     assert [r.messages for r in examine(fmi3_built[name]) if r.messages] == []
 

@@ -306,6 +306,7 @@ def test_an_integration_of_another_derivative_is_refused(tmp_path: Path) -> None
     assert message.endswith("as the rate of the function integrate")
 
 
+@pytest.mark.slow
 def test_an_integration_of_the_block_is_that_of_co_simulation(small_built: Fmus, tmp_path: Path) -> None:
     def falls(t: float, h: float, state: State, u: Any, p: Any, c: Any) -> State:
         a = u.lift - p.gravity

@@ -37,7 +37,7 @@ def test_derivatives_by_inputs_are_those_of_the_mode(session: Session) -> None:
         session("terminate")
 
 
-@pytest.mark.parametrize("name", slow_but(("RovDepthPlant", "WaveSource"), builder.block_names()))
+@pytest.mark.parametrize("name", slow_but(("RovDepthPlant",), builder.block_names()))
 def test_derivatives_of_the_initialization_are_slopes(built: Fmus, load: Any, name: str) -> None:
     """Against central differences, whose error is some 1e-6 of the slope at a relative step of 1e-5."""
     block, fmu = builder.load_block(name), load(built[name])

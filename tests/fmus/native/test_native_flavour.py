@@ -68,6 +68,7 @@ def test_every_form_of_resource_location_is_as_good(built: Fmus, load: Any) -> N
         slave.dll.fmi2FreeInstance(ctypes.c_void_p(component))
 
 
+@pytest.mark.slow
 def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: Any, tmp_path: Path) -> None:
     """A plant that feels twice the control, beside the original."""
     block = builder.load_block("ExamplePlant")

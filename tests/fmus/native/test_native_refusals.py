@@ -172,6 +172,7 @@ def test_contradictory_parameters_are_an_error_until_the_instance_is_restored(
         session("free")
 
 
+@pytest.mark.slow
 def test_an_initial_state_that_is_not_finite_is_an_error(open_session: Open) -> None:
     """It could not be saved as bytes, and no step would lead out of it."""
     vehicle = open_session("RovDepthPlant").begin()

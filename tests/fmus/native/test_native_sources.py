@@ -116,6 +116,7 @@ def _trace(fmu: Path) -> np.ndarray:
     return np.array([result[name] for name in outputs]).T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Ball", "Items"])
 def test_the_build_description_is_valid_and_names_the_source_files(small_built: Fmus, name: str) -> None:
     files = members(small_built[name])

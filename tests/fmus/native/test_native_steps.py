@@ -69,6 +69,7 @@ def test_the_start_time_reaches_outputs_that_were_read_before(session: Session) 
     assert session.get("square") == [3.0]
 
 
+@pytest.mark.slow
 def test_a_step_may_pass_the_stop_time_by_rounding_and_by_no_more(session: Session) -> None:
     session.stepping(stop=0.3)
     assert [session.step(t, 0.1) for t in (0.0, 0.1, 0.2)] == [OK] * 3
@@ -169,6 +170,7 @@ def test_the_lowest_integer_is_a_value(session: Session) -> None:
     assert session.get("steps") == [-(2**31)]
 
 
+@pytest.mark.slow
 def test_a_step_that_diverges_is_discarded_and_leaves_the_state(plant: Session) -> None:
     assert plant.stepping().set(control=1.0) == plant.step(0.0, 0.5) == OK
     before, saved = plant.get("output"), plant.saved()

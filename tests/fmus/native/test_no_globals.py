@@ -28,7 +28,12 @@ ALLOWED = """
 
 
 @pytest.mark.parametrize(
-    ("block", "fmi"), [("RovDepthPlant", 2), ("RovDepthPlant", 3), ("L1DepthController", 2)]
+    ("block", "fmi"),
+    [
+        ("RovDepthPlant", 2),
+        pytest.param("RovDepthPlant", 3, marks=pytest.mark.slow),
+        pytest.param("L1DepthController", 2, marks=pytest.mark.slow),
+    ],
 )
 def test_a_library_has_no_memory_of_its_own_and_calls_what_has_none(
     built: Mapping[str, Path], fmi3_built: Mapping[str, Path], block: str, fmi: int

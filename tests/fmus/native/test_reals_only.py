@@ -54,6 +54,7 @@ def test_what_depends_on_an_item_may_depend_on_all(reals: Path) -> None:
     assert listed["product"] == " ".join(str(names.index(name) + 1) for name in ("gain", "limit"))
 
 
+@pytest.mark.slow
 def test_it_steps_as_the_ordinary_fmu_does(reals: Path, load: Any, small_built: Fmus) -> None:
     plain = load(small_built[EVERYTHING.name]).begin()
     fmu = load(reals).begin()

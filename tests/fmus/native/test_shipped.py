@@ -52,6 +52,7 @@ def library_of() -> Iterator[Callable[[Block, str, Mapping[str, bytes]], Shipped
         library.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", slow_but(("calculate", "step"), RESULTS))
 def test_a_library_that_differs_in_one_function_is_refused(
     library_of: Callable[..., ShippedLibrary], function: str

@@ -49,12 +49,14 @@ def test_build_writes_fmus_of_fmi_3_to_a_folder_of_their_own(command: Command, r
     assert "expected the native flavour and FMI 2.0" in refused(*build, "--reals-only")
 
 
+@pytest.mark.slow
 def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(command: Command) -> None:
     assert command("new", "pid").stdout == "pid.py\ntest_pid.py\n"
     done = command("build", "pid.py", "DepthReference", "--flavour", "python", "--out", "out")
     assert done.stdout.replace("\\", "/") == "out/Pid.fmu\nout/DepthReference.fmu\n"
 
 
+@pytest.mark.slow
 def test_new_writes_a_block_without_depth_and_no_two_kinds_at_once(
     command: Command, refused: Command
 ) -> None:
@@ -67,6 +69,7 @@ def test_new_writes_a_block_without_depth_and_no_two_kinds_at_once(
     assert done.stdout.replace("\\", "/") == "out/Room.fmu\n"
 
 
+@pytest.mark.slow
 def test_build_writes_the_fmu_of_a_class_and_no_other(command: Command, refused: Command) -> None:
     Path("own.py").write_text(
         "class Own:\n    period = 0.1\n    def reset(self): pass\n"
@@ -115,6 +118,7 @@ def test_broken_blocks_of_another_package_are_listed_and_stop_no_other(
     assert "'Wrong': its entry point no_such_module:BLOCK cannot be loaded" in done.stderr
 
 
+@pytest.mark.slow
 def test_what_cannot_be_imported_stops_no_other(command: Command) -> None:
     command("new", "good")
     Path("bad.py").write_text("import math\nimport nunpy\n")

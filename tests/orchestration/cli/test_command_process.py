@@ -139,6 +139,7 @@ def test_an_fmu_that_changes_the_permissions_of_new_files_hides_no_results(
         assert path.stat().st_mode == (tmp_path / "usual").stat().st_mode, path
 
 
+@pytest.mark.slow
 def test_an_fmu_that_limits_the_size_of_files_is_named_and_harmless_in_a_process_of_its_own(
     misbehaving: Callable[..., str], tmp_path: Path
 ) -> None:
@@ -152,6 +153,7 @@ def test_an_fmu_that_limits_the_size_of_files_is_named_and_harmless_in_a_process
     assert ended(tmp_path, "run", "mine.toml", "--timeout", "60").returncode == 0
 
 
+@pytest.mark.slow
 def test_an_interrupt_at_the_terminal_reaches_a_run_whose_fmu_has_left_it(
     misbehaving: Callable[..., str], tmp_path: Path
 ) -> None:

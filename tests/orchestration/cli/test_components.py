@@ -172,6 +172,7 @@ def test_a_disturbance_that_a_vehicle_lacks_is_named(command: Command, tmp_path:
     assert f"plant is boat.fmu, which lacks {lacks}: left out" in error[0]
 
 
+@pytest.mark.slow
 def test_a_vehicle_of_ten_lines_follows_the_laws_of_motion(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:

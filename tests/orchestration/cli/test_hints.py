@@ -124,6 +124,7 @@ def test_the_mappings_that_messages_ask_for_give_a_vehicle_to_tune(
     assert "boat.fmu has no binary" in error(*options, *hints, *least)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "expression",
     [
@@ -166,6 +167,7 @@ class Pd:
 """
 
 
+@pytest.mark.slow
 def test_a_file_of_a_class_without_a_block_offers_the_class(
     command: Command, error: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -206,6 +208,7 @@ def test_an_fmu_whose_outputs_alone_are_not_joined_is_not_said_to_have_open_inpu
     assert "; its outputs are (none): name" in error("run", "short.toml", "--controller", "deaf.fmu")
 
 
+@pytest.mark.slow
 def test_parameters_of_another_vehicle_ask_for_it(
     command: Command, error: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -247,6 +250,7 @@ def test_actuators_are_told_of_a_vehicle_that_a_file_of_the_user_names(
     assert "of the actuators of plant: controller.voltage_limit = 12" in told
 
 
+@pytest.mark.slow
 def test_inspect_takes_what_other_commands_take(command: Command, error: Callable[..., str]) -> None:
     command("new", "rover", "--vehicle")
     for given, name in (("BlueRov2Plant", "BlueRov2Plant"), ("rover.py", "Rover")):
@@ -282,6 +286,7 @@ def test_what_is_no_vehicle_is_told_which_variables_one_has(
     assert len(message) < 500
 
 
+@pytest.mark.slow
 def test_a_score_names_the_file_in_which_a_disturbance_is_missing(command: Command, tmp_path: Path) -> None:
     """A case is played as soon as it stands there."""
     command("new", "rover", "--vehicle")
@@ -294,6 +299,7 @@ def test_a_score_names_the_file_in_which_a_disturbance_is_missing(command: Comma
     assert "inertia-low" in read_protocol(vehicle=Vehicle.of("rover.py")).cases
 
 
+@pytest.mark.slow
 def test_a_design_does_not_name_parameters_that_it_designs(command: Command, tmp_path: Path) -> None:
     command("new", "rover", "--vehicle")
     (tmp_path / "rover.vehicle.toml").write_text(

@@ -262,6 +262,7 @@ def test_a_second_interrupt_ends_a_run_whose_fmu_hangs(
     _check_end(process, tmp_path)
 
 
+@pytest.mark.slow
 def test_an_fmu_that_ends_the_process_at_once_is_named_and_the_status_is_not_0(
     misbehaving: Callable[..., str], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:

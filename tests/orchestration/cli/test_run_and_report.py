@@ -21,6 +21,7 @@ from orchestration.scenarios import scenario
 Command = Callable[..., Any]
 
 
+@pytest.mark.slow
 def test_run_writes_recording_metrics_provenance_and_figure(
     command: Command, short_scenario: Command, tmp_path: Path
 ) -> None:
@@ -137,6 +138,7 @@ def test_a_run_without_room_for_its_recording_is_refused_before_it_begins(
     assert not list((tmp_path / "out").iterdir())
 
 
+@pytest.mark.slow
 def test_a_run_needs_nothing_that_draws_and_says_which_extra_a_figure_needs(
     command: Command, short_scenario: Command, tmp_path: Path
 ) -> None:

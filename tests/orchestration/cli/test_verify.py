@@ -92,6 +92,7 @@ def verified(command: Command, folder: Path, inside: dict[str, bytes]) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_library_or_a_source_that_was_changed_is_different(
     command: Command, built: Fmus, tmp_path: Path
 ) -> None:

@@ -166,6 +166,7 @@ def test_one_changed_gain_of_two_builds_is_said_in_a_line(
     assert "behaviour" not in printed[1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_in_this_process")
 def test_an_fmu_that_no_longer_runs_is_a_major_change(built: Fmus, tmp_path: Path) -> None:
     whole = built["ExamplePlant"]
@@ -194,6 +195,7 @@ class Ramp:
     y: float = variable(0.0, "Output")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_in_this_process")
 @pytest.mark.parametrize("name", ["enabled", "mode"])
 def test_a_gain_that_acts_behind_a_boolean_or_an_item_is_found(tmp_path: Path, name: str) -> None:
@@ -227,6 +229,7 @@ def compared(old: Path, new: Path) -> list[Change]:
     return _changes(old, new, 30.0, "", "")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_in_this_process")
 def test_of_an_fmu_with_both_interfaces_both_are_compared(built: Fmus, tmp_path: Path) -> None:
     def changed(name: str, old: str, new: str) -> Path:
@@ -254,6 +257,7 @@ def test_one_block_in_both_standards_gives_the_same_results(built: Fmus, fmi3_bu
     assert [c.text for c in found if " is new" in c.text] == ["independent time is new"]
 
 
+@pytest.mark.slow
 def test_an_array_in_place_of_a_scalar_is_named(tmp_path: Path) -> None:
     array = (
         '<Float64 name="u" valueReference="1" causality="input" start="0"><Dimension start="2"/></Float64>'
@@ -272,6 +276,7 @@ def test_an_array_in_place_of_a_scalar_is_named(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_speed_is_told_and_is_no_difference(
     built: Fmus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,6 +288,7 @@ def test_the_speed_is_told_and_is_no_difference(
     assert verdict.endswith(": equal")
 
 
+@pytest.mark.slow
 def test_the_speed_is_the_ratio_of_the_new_one_to_the_old_one(built: Fmus, tmp_path: Path) -> None:
     plant = built["ExamplePlant"]
     (step,) = (float(v.start or 0) for v in describe(plant).modelVariables if v.name == "internal_step")

@@ -109,6 +109,7 @@ def test_inputs_of_every_unit_are_packaged(
         np.testing.assert_array_equal(read_back[f"{name}.y[1]"], own[f"{name}.y[1]"], err_msg=name)
 
 
+@pytest.mark.slow
 def test_the_source_has_the_name_and_the_unit_of_the_input(
     lags: dict[str, Path], tmp_path: Path, build_once: BuildSource
 ) -> None:

@@ -24,6 +24,7 @@ SAME_SYSTEM = ("nominal-l1", "nominal-extended", "buoyancy", "monte-carlo")
 VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
 
 
+@pytest.mark.slow
 def test_it_holds_a_structure_and_a_parameter_set_for_each_scenario_of_the_system(package: Path) -> None:
     blocks = ("Ramps_depth_reference", "L1DepthController", "RovDepthPlant")
     expected = {f"{name}.ssd" for name in VEHICLE if name != "nominal-extended"}
@@ -40,6 +41,7 @@ def test_every_file_follows_the_schemas_of_ssp(package: Path, tmp_path: Path, na
     assert read_ssd(str(write_archive(tmp_path / "variant.ssp", {STRUCTURE: structure}))).name == name
 
 
+@pytest.mark.slow
 def test_packing_twice_gives_the_same_file_and_packing_a_package_its_loop(
     package: Path, tmp_path: Path
 ) -> None:
@@ -198,6 +200,7 @@ def test_a_variant_has_the_values_of_its_parameter_set(package: Path) -> None:
     assert bound == {p.name: p.value for p in read_ssv(str(package), "parameters/buoyancy-l1.ssv").parameters}
 
 
+@pytest.mark.slow
 def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
     package: Path, built: Mapping[str, Path], tmp_path: Path
 ) -> None:

@@ -65,6 +65,7 @@ def varied(count: int) -> dict[str, list[Any]]:
     }
 
 
+@pytest.mark.slow
 def test_37_instances_have_the_bits_of_37_runs(system: System, device: Device | None) -> None:
     """37: four groups and a part of one."""
     experiments = instances(DIVE, varied(37))
@@ -184,6 +185,7 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built_for_ensembles(tmp_path_factory.mktemp("growing"), GROWING)
 
 
+@pytest.mark.slow
 def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(
     growing: Path, device: Device | None
 ) -> None:

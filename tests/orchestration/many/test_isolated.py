@@ -98,6 +98,7 @@ def test_what_an_fmu_does_is_told_and_the_next_run_runs(runner: Isolated, misdee
     assert failed(run(runner)) is None
 
 
+@pytest.mark.slow
 def test_a_process_killed_by_somebody_else_is_replaced_and_its_run_run_again(
     runner: Isolated,
 ) -> None:
@@ -109,6 +110,7 @@ def test_a_process_killed_by_somebody_else_is_replaced_and_its_run_run_again(
     assert child() != before
 
 
+@pytest.mark.slow
 def test_closing_ends_a_run_that_runs(runner: Isolated) -> None:
     run(runner)
     threading.Timer(0.3, runner.close).start()
@@ -118,6 +120,7 @@ def test_closing_ends_a_run_that_runs(runner: Isolated) -> None:
     assert time.monotonic() - begin < TIMEOUT_S
 
 
+@pytest.mark.slow
 def test_an_fmu_that_cannot_be_loaded_is_told_without_the_place_where_it_was_unpacked(
     job: Job, tmp_path: Path
 ) -> None:

@@ -134,6 +134,7 @@ def test_experiments_that_differ_in_more_than_values_step_in_vectors_of_their_ow
         list(run_many(nominal.system, tolerant, where="vectors"))
 
 
+@pytest.mark.slow
 def test_a_foreign_fmu_that_crashes_is_a_failure_and_leaves_no_process(rogue: Callable[..., Path]) -> None:
     before = set(psutil.Process().children(recursive=True))
     good = Experiment(1.0, 0.1, inputs={"r.u": 2.0})

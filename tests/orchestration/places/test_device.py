@@ -143,6 +143,7 @@ def all_metrics(runs: Recording) -> list[Any]:
     return [{name: column[i] for name, column in measured.items()} for i in range(len(runs.values))]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("on_device", "vehicle_fmus")
 def test_metrics_on_a_device_are_those_of_the_processor() -> None:
     scenario = load_scenario("nominal-extended")
@@ -158,6 +159,7 @@ def test_metrics_on_a_device_are_those_of_the_processor() -> None:
     assert len({*map(repr, here)}) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("on_device", "vehicle_fmus")
 def test_a_sweep_on_a_device_has_the_rows_of_the_processor(tmp_path: Path) -> None:
     scenario = load_scenario("monte-carlo")

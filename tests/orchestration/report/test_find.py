@@ -252,6 +252,7 @@ def test_a_page_names_what_is_on_it(tmp_path: Path) -> None:
     assert "<title>For the customer</title>" in render(found_results([run]), "For the customer")
 
 
+@pytest.mark.slow
 def test_each_missing_library_is_one_line_with_the_extra_and_none_of_other_extras_is_needed() -> None:
     """In one process, which imports the report anew for each library that it does not find."""
     needed = ("jinja2", "markupsafe", "pyarrow")

@@ -152,6 +152,7 @@ def test_equal_data_give_the_same_file(recording: Recording, tmp_path: Path, end
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_figures_leave_pyplot_and_the_settings_of_the_caller_alone() -> None:
     code = """
 import sys

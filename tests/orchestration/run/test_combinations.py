@@ -106,6 +106,7 @@ EXTRAPOLATED: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::orchestration.errors.FmuWarning")
 @given(
     algorithm=st.sampled_from(Algorithm),

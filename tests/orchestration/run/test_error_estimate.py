@@ -78,6 +78,7 @@ def ratios(fmu: Path, seed: int) -> tuple[float, float]:
     return float(estimated.max() / true.max()), float(estimated[-1].max() / true[-1].max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [20, pytest.param(100, marks=pytest.mark.slow)])
 def test_the_estimate_bounds_the_error_of_random_systems(linear: Build, count: int) -> None:
     """At least the true error in 95 of 100, at most ten times it in the median; FMUs cannot go back."""
@@ -131,6 +132,7 @@ def test_the_run_itself_is_the_same(linear: Build, extrapolation: int, factor: f
         assert found == {"maximum": column.max(), "at_end": column[-1]}
 
 
+@pytest.mark.slow
 def test_a_run_in_a_process_of_its_own_has_the_same_estimate(linear: Build) -> None:
     experiment = Experiment(1.0, 0.1, error_estimate=True)
     apart = simulate(coupled(linear), experiment, timeout=60.0)

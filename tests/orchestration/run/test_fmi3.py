@@ -130,6 +130,7 @@ def mirrored(system: System, inputs: dict[str, Any]) -> dict[str, list[Any]]:
     return {name.replace("_out", ""): recording[f"m.{name}"].tolist() for name in outputs}
 
 
+@pytest.mark.slow
 def test_arrays_are_scalars_row_by_row_of_every_type(everything: System) -> None:
     expected = {name: [start] * 3 for name, start in starts().items()}
     assert mirrored(everything, {}) == expected
@@ -381,6 +382,7 @@ high = -1.0
 """
 
 
+@pytest.mark.slow
 def test_commands_take_an_fmu_of_fmi_3_by_its_file(
     command: Any, built: Fmus, fmi3_built: Fmus, vehicle_fmus: None, tmp_path: Path
 ) -> None:

@@ -78,6 +78,7 @@ def test_all_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None
     assert "refusing at t = 0.5 s: fmi2SetBoolean returned discard: no Boolean is taken any more" in str(fast)
 
 
+@pytest.mark.slow
 def test_all_loops_exchange_what_a_slow_component_gives_at_the_last_point(linear: Build) -> None:
     """Its last step is a shorter one: the last point is none of its own."""
     system = System(dict.fromkeys(("one", "two"), linear()), (("one.y[1]", "two.u[1]"),))

@@ -352,6 +352,7 @@ def test_a_call_that_fails_ends_the_run_with_its_name(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_a_run_with_a_time_limit_and_an_ssp_package_take_it(tmp_path: Path) -> None:
     system = exchange(tmp_path)
     (tmp_path / "mine.toml").write_text(

@@ -56,6 +56,7 @@ print("written")
     )
 
 
+@pytest.mark.slow
 def test_a_process_that_ends_by_itself_during_or_after_a_run_is_not_blamed(
     rogue: Build, tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def test_every_step_is_counted_and_all_times_lie_within_the_run(
     assert again["phases_s"]["loading"] < found["phases_s"]["loading"]  # FMUs that were loaded are reset
 
 
+@pytest.mark.slow
 def test_time_is_that_of_the_fmu_that_takes_it(linear: Build, tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text(SLOW)
     fmus = {"quick": linear(), "slow": f"{tmp_path / 'slow.py'}:Slow"}

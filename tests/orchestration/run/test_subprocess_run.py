@@ -46,6 +46,7 @@ def test_it_is_the_same_run(linear: Build, temporary: Path) -> None:
     assert not list(temporary.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("misdeed", "words"),
     [
@@ -91,6 +92,7 @@ def raises(error: BaseException, after: int = 10) -> Callable[[int, int], None]:
 LONG = Experiment(2e4, 0.01)
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_both_processes(linear: Build, temporary: Path) -> None:
     with pytest.raises(SimulationError, match="interrupted") as caught:
         simulate(coupled(linear), LONG, raises(KeyboardInterrupt()), timeout=TIMEOUT)
@@ -104,6 +106,7 @@ def test_an_interrupt_after_the_last_point_is_one(linear: Build) -> None:
     assert len(caught.value.recording.time) == 11
 
 
+@pytest.mark.slow
 def test_an_interrupt_at_the_terminal_does_not_cut_off_a_checkpoint(linear: Build, tmp_path: Path) -> None:
     """It reaches every process of the group, and more than once where a shell or a launcher passes it on."""
     script = f"""
@@ -155,6 +158,7 @@ def test_a_second_interrupt_ends_what_hangs(linear: Build, rogue: Build, tempora
     assert not list(temporary.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "error", [ValueError("no bar"), pytest.param(OrchestrationError("no bar"), marks=pytest.mark.slow)]
 )

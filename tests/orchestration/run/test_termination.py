@@ -177,6 +177,7 @@ def test_the_next_run_goes_on_to_its_stop_time(linear: Build, rogue: Build) -> N
     assert np.array_equal(again.values, run(system, doing(Misdeed.NONE)).values)
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_and_the_progress_end_there(linear: Build, rogue: Build) -> None:
     system, experiment = pair(linear, rogue), doing(Misdeed.TERMINATE, 0.55)
     calls: list[tuple[int, int]] = []

@@ -165,6 +165,7 @@ def test_strings_go_on_from_a_checkpoint(tmp_path: Path) -> None:
         assert resumed[name].tolist() == uninterrupted[name].tolist()
 
 
+@pytest.mark.slow
 def test_strings_are_in_no_figure_and_no_metric(foreign: Mapping[str, Path], tmp_path: Path) -> None:
     recording = run(diaries(foreign), MONDAY)
     (file,) = run_figure("diary", recording, tmp_path / "diary")

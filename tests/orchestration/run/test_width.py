@@ -59,6 +59,7 @@ def operations(run: Callable[[], object]) -> int:
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("declares_dependencies", "tolerance"), [(True, None), (False, 1e-3)])
 def test_twice_the_width_costs_twice_as_much(
     linear: Build, tmp_path: Path, declares_dependencies: bool, tolerance: float | None

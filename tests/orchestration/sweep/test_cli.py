@@ -54,6 +54,7 @@ def test_it_writes_a_table_and_prints_a_summary(
     assert set(tmp_path.iterdir()) == before | {tmp_path / "results", tmp_path / "tmp"}
 
 
+@pytest.mark.slow
 def test_a_sweep_without_a_sample_that_succeeds_fails(
     sweep_file: MakeFile, tmp_path: Path, refused: Callable[..., str]
 ) -> None:

@@ -105,6 +105,7 @@ def test_what_was_done_before_an_interrupt_is_not_run_again(vehicle: Plan, tmp_p
     assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
 
 
+@pytest.mark.slow
 def test_a_row_names_the_fmus_that_warned_in_its_sample_alone(planned: Make, tmp_path: Path) -> None:
     made = planned('[sweep.vary."r.misdeed"]\nvalues = ["none", "warning", "none", "error"]\n')
     rows = table.read(sweep(made, tmp_path, LocalRuns(1)))[0]

@@ -148,6 +148,7 @@ def test_a_value_of_another_type_is_refused(kind: pa.DataType, value: object, tm
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_a_table_is_written_and_summed_up_without_pandas(planned: Make, tmp_path: Path) -> None:
     """Which takes longer to import than all else of a small sweep."""
     made = planned(GRID)

@@ -284,6 +284,7 @@ NUMPY = Block.of_module(
 )
 
 
+@pytest.mark.slow
 def test_no_file_of_an_fmu_has_a_number_in_the_words_of_numpy(tmp_path: Path) -> None:
     texts = members(builder.build_block(NUMPY, tmp_path)).items()
     assert [n for n, text in texts if b"np." in text and not n.startswith("binaries/")] == []

@@ -27,6 +27,7 @@ def boat(built: Fmus, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
     command: Command, boat: Path, tmp_path: Path
 ) -> None:
@@ -46,6 +47,7 @@ def test_every_corner_of_our_vehicle_settles_and_a_run_takes_the_file(
         assert written["design"]["checked"][-1]["worst_rmse_cm"] < 2.0
 
 
+@pytest.mark.slow
 def test_a_place_that_does_not_settle_ends_the_command_and_writes_nothing(
     command: Command, boat: Path, tmp_path: Path
 ) -> None:

@@ -76,6 +76,7 @@ def test_a_vehicle_of_ones_own_is_fitted_and_a_scenario_takes_the_values(
     assert chosen.experiment.parameters["plant.mass"] == values["plant.mass"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("vehicle", "columns"),
     [

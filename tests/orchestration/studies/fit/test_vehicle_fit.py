@@ -177,6 +177,7 @@ def test_values_with_which_the_vehicle_cannot_run_are_named(vehicle: Vehicle, di
         fit_vehicle(impossible, [dive()], [replace(free[0], start=0.6)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coefficient", [0.0, 0.9, 0.98])
 def test_a_lag_that_the_model_lacks_is_found_in_the_residuals(
     vehicle: Vehicle, recorded: Recorded, coefficient: float

@@ -46,6 +46,7 @@ def by_frequencies(whole: Period, gain: float) -> float:
     return float(np.linalg.eigvalsh(hermitian).min())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"controller.adaptation_gain": 1e5}])
 def test_the_proved_sector_is_that_of_the_circle_criterion(loop: CodeLoop, changes: dict[str, float]) -> None:
     """Within 0.5 %, with a Lyapunov function there and frequencies here."""
@@ -72,6 +73,7 @@ def changing(rng: np.random.Generator, size: int = 2000) -> np.ndarray:
     return np.repeat(levels, lengths)[:size]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loops", [10, pytest.param(100, marks=pytest.mark.slow)])
 def test_random_loops_with_any_gain_in_their_sector_return(loop: CodeLoop, loops: int) -> None:
     """Designs of random gains, each at the largest sector that is proved for it."""
@@ -138,6 +140,7 @@ def certificate(**parameters: Any) -> dict[str, Any]:
     return {metric.name: metric for metric in metrics if metric.group == "certificate"}
 
 
+@pytest.mark.slow
 def test_drag_takes_a_little_of_the_sector_and_the_linear_loop_bears_more() -> None:
     proved, with_drag, linear = (metric.value for metric in certificate().values())
     assert 0.95 * proved < with_drag < proved < linear < 1.2 * proved
@@ -155,6 +158,7 @@ def test_a_nonlinear_p_is_inside_at_its_default_and_not_proved_at_its_least_thre
     assert certificate(**large)["sector of u_p that is proved"].remark == "the scenario has 126.2, not proved"
 
 
+@pytest.mark.slow
 def test_a_loop_without_a_certificate_is_told_so(built: Fmus) -> None:
     assert built["PidDepthController"].is_file()
     loaded = scenario.load(scenario.find("nominal-l1"), {"components": {"controller": "PidDepthController"}})

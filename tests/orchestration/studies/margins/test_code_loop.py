@@ -45,6 +45,7 @@ def delay_margin(loaded: Scenario) -> float:
     return next(metric.value for metric in code_metrics(loop) if metric.unit == "s")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("controller", "parameters", "efficiency"),
     [
@@ -75,6 +76,7 @@ def test_a_delay_lies_on_straight_lines_between_whole_steps() -> None:
     assert delayed(step, 0.0, 2.0)[0, 0] == pytest.approx(0.8)
 
 
+@pytest.mark.slow
 def test_a_loop_with_faults_is_not_made() -> None:
     loaded = at_rest("L1DepthController", SMOOTH)
     faults = (Fault(VOLTAGES[0], Scale(0.5)),)

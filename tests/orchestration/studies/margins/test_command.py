@@ -68,6 +68,7 @@ def test_theory_alone_takes_no_runs_of_other_delays(
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_foreign_controller_is_judged_by_runs_alone_and_told_why(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -79,6 +80,7 @@ def test_a_foreign_controller_is_judged_by_runs_alone_and_told_why(
     assert "not judged: they follow from the equations of a law" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_vehicle_without_a_description_is_told_where_to_write_it(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:

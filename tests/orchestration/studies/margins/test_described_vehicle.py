@@ -39,6 +39,7 @@ def test_a_vehicle_that_takes_a_force_has_the_plant_of_its_description(tmp_path:
     assert plant_of(fmu, mass=32.0, drag=16.0) == expected
 
 
+@pytest.mark.slow
 def test_the_description_beside_a_python_file_is_found(tmp_path: Path) -> None:
     write_new_block("rover", tmp_path, kind="vehicle")
     description = f'{INERTIA}damping = "linear_drag"\nlag = ["thruster_lag"]\n'

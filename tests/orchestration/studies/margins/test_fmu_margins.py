@@ -186,6 +186,7 @@ def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it(ma
     assert of_measurement == ("controller.measured_depth", "controller.measured_depth_rate")
 
 
+@pytest.mark.slow
 def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scanned: Scanned) -> None:
     """With the true state: 0.4133 s in continuous time, less a step by Jacobi and half a one by the hold.
 

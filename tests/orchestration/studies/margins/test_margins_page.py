@@ -39,6 +39,7 @@ def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> 
 THEORY = ("L1-norm condition", "linear loop", "linear loop of the code", "prediction error")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "column"), [("nominal-l1", 0), ("nominal-extended", 1), ("example-extended", 0)]
 )

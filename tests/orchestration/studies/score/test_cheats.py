@@ -127,6 +127,7 @@ def test_no_controller_is_told_the_true_rate_in_any_case(protocol: Protocol) -> 
         ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_who_acts_at_the_known_time_of_a_step_is_too_early(
     protocol: Protocol, knowing: Callable[..., Controller]
 ) -> None:
@@ -148,6 +149,7 @@ def test_who_acts_at_the_known_time_of_a_step_is_too_early(
     assert all(early > honest for early, honest in zip(rmse["early"][1:], rmse["honest"][1:], strict=True))
 
 
+@pytest.mark.slow
 def test_who_is_not_deterministic_is_not_ranked(small: Protocol, rogue: Build) -> None:
     with ClosedLoop(rogue_doing(rogue(), Misdeed.NONE), small) as steady:
         assert score_rows.not_repeated(steady, small.nominal) == []
@@ -173,6 +175,7 @@ def test_gains_beyond_the_bounds_of_the_protocol_are_not_ranked(protocol: Protoc
     ]
 
 
+@pytest.mark.slow
 def test_who_fails_the_nominal_case_has_no_delay_margin_and_no_mark(small: Protocol) -> None:
     idle = replace(built_in(small, "l1-pi"), name="idle", parameters={"voltage_limit": 1e-6})
     document = score_controllers([idle], small, beside=[tuned(small, "l1-pi")], seed=5).document
@@ -211,6 +214,7 @@ class {name}:
 """
 
 
+@pytest.mark.slow
 def test_neither_a_class_attribute_nor_a_global_nor_a_file_passes_notes_between_runs(
     small: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +233,7 @@ def test_neither_a_class_attribute_nor_a_global_nor_a_file_passes_notes_between_
     assert not Path("notes").exists()
 
 
+@pytest.mark.slow
 def test_every_row_keeps_the_bounds_of_the_search_or_has_no_mark(small: Protocol) -> None:
     """A built-in row is held to them as a scored one is."""
     quick = Controller("quick", "PidDepthController", parameters={"kp": 110.0})

@@ -68,6 +68,7 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     assert "not on a real vehicle" in (tmp_path / "results" / "score.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_python_class_is_scored_by_its_name_and_the_command_fails_where_it_fails_every_case(
     command: Callable[..., Any], protocol_file: Path, tmp_path: Path
 ) -> None:

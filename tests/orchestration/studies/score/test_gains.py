@@ -100,6 +100,7 @@ def test_a_file_is_of_the_protocol(name: str, protocol: Protocol) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gains_have_the_cost_that_their_file_claims(name: str, protocol: Protocol) -> None:
     with ClosedLoop(tuned(protocol, name), protocol) as loop:

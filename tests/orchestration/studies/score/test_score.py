@@ -49,6 +49,7 @@ def row(document: Score, name: str) -> Row:
     return next(row for row in document.rows if row.name == name)
 
 
+@pytest.mark.slow
 def test_a_row_has_the_metrics_of_the_loop_in_the_drawn_cases(document: Score, path: Path) -> None:
     mine, other = row(document, "mine"), row(document, "l1-pi")
     assert [mine.scored, other.scored] == [True, False]
@@ -179,6 +180,7 @@ def test_all_controllers_get_the_same_plants(document: Score, path: Path) -> Non
     assert difference.p_holm == difference.p  # the only pair: there is none with what crashes
 
 
+@pytest.mark.slow
 def test_the_document_is_what_its_schema_says_and_reads_back(document: Score) -> None:
     import jsonschema  # costs a second
 

@@ -109,6 +109,7 @@ def test_plants_in_ensembles_have_the_metrics_and_failures_of_single_runs(
     assert sorted(groups) == [1] * (1 + COUNT) + [3, 8, 8]
 
 
+@pytest.mark.slow
 def test_plants_of_a_controller_of_another_tool_run_alone(
     plants_of: Scored, protocol: Protocol, small_protocol: Callable[..., Path], rogue: Build
 ) -> None:

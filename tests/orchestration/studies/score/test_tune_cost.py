@@ -85,6 +85,7 @@ def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(lo
     assert evaluated["cost"] > error + 1.0
 
 
+@pytest.mark.slow
 def test_the_bound_on_the_delay_margin_is_the_margin_that_a_score_measures(protocol: Protocol) -> None:
     """Quiet with the delay at which the scan still is, not with that at which it no longer is."""
     nominal, unrest = protocol.nominal, list[float]()
