@@ -142,7 +142,8 @@ def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray,
     while True:
         grid = np.linspace(low, high, _PARTS + 1)
         distances = [distance(delay) for delay in grid]
-        if (low, high) == (0.0, largest) and min(distances) == max(distances):
+        is_flat = (low, high) == (0.0, largest) and min(distances) == max(distances)
+        if is_flat or not np.isfinite(distances).all():
             return math.nan
         best = int(np.argmin(distances))
         if high - low <= _PARTS * _LAG_ERROR_S:

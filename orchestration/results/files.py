@@ -204,12 +204,14 @@ def _write_csv(stream: BinaryIO, content: Columns) -> None:
     text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([_TIME_TITLE, *titles])
+    # a carriage return in a text would else end the row
+    texts = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_NONNUMERIC)
     text.flush()
     for start in range(0, len(content.time), _BLOCK):
         rows = slice(start, start + _BLOCK)
         block = replace(content, values=content.values[rows])
         if content.strings:
-            writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
+            texts.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
         else:
             stream.write(_lines(np.column_stack([content.time[rows], block.values])))
     text.detach()

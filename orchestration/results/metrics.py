@@ -177,7 +177,7 @@ def overshoot(recording: Recording, signal: str, target: float, window: list[flo
         raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
     farthest = (math.copysign(1.0, target) * recording[signal][..., _window(recording, window)]).max(axis=-1)
     excess = 100.0 * (farthest - abs(target)) / abs(target)
-    return np.where(excess > 0.0, excess, 0.0)
+    return np.where(excess <= 0.0, 0.0, excess)
 
 
 @along_time
@@ -443,7 +443,7 @@ def time_below(
     inside = _window(recording, window)
     time, values = recording.time[inside], recording[signal][inside]
     passed = np.flatnonzero(values > after)
-    if not len(passed):
+    if not len(passed) or np.isnan(values).any():
         return math.nan
     return _seconds_below(time[passed[0] :], values[passed[0] :], limit)
 

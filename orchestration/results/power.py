@@ -59,6 +59,9 @@ def _given(
         return start, end
     # the first step has no earlier output to extrapolate from: it is held
     slope = np.concatenate([[0.0], np.diff(output)[:-1] / size[:-1]])
+    # as the loop does: for a step above twice the interval of the slope
+    longest = 2.0 * np.concatenate([size[:1], size[:-1]])
+    slope = np.where(size > longest, slope * longest / size, slope)
     return start, start + slope * size
 
 

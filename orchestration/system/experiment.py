@@ -19,7 +19,7 @@ from orchestration.system.faults import Fault
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
-from orchestration.system.time_grid import GRID_TOLERANCE, is_multiple, step_count, time_grid
+from orchestration.system.time_grid import is_multiple, resolution, step_count, time_grid
 from orchestration.system.values import Value
 
 _MOST_STEPS = 1e9
@@ -176,8 +176,7 @@ class Experiment:
         -------
         float
         """
-        rounding = 4.0 * np.finfo(float).eps * max(abs(self.start_time), abs(self.stop_time))
-        return max(GRID_TOLERANCE * self.step_size, float(rounding))
+        return resolution(self.step_size, self.start_time, self.stop_time)
 
     @property
     def step_count(self) -> int:
@@ -252,7 +251,7 @@ def _check_times(experiment: Experiment) -> None:
     _expect_setting(math.isfinite(start), f"start time {start!r} s: expected a finite number", "start_time")
     expected = f"expected more than the start time {start!r} s"
     _expect_setting(start < stop < math.inf, f"stop time {stop!r} s: {expected}", "stop_time")
-    is_within = step <= (stop - start) * (1.0 + GRID_TOLERANCE)
+    is_within = step <= stop - start + experiment.time_resolution()
     _expect_setting(is_within, f"{size}: expected at most the run, {stop - start:g} s", "step_size")
     count = (stop - start) / step
     expected = f"expected at most {_MOST_STEPS:.0e}"
@@ -321,7 +320,7 @@ def double_step(experiment: Experiment) -> Experiment:
     start, step = experiment.start_time, 2.0 * experiment.step_size
     step_sizes = {name: 2.0 * size for name, size in experiment.step_sizes.items()}
     longest = step * math.lcm(*(experiment.period(name) for name in step_sizes))
-    count = math.floor((experiment.stop_time - start) / longest * (1.0 + GRID_TOLERANCE))
+    count = math.floor((experiment.stop_time - start + experiment.time_resolution()) / longest)
     if not count:
         raise SystemDefinitionError(
             f"error estimate: expected a run of at least {longest:g} s, two steps of every component, got "

@@ -14,7 +14,7 @@ from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment
 from orchestration.system.faults import Stuck
 from orchestration.system.system import CheckedSystem, Port
-from orchestration.system.time_grid import is_multiple, within
+from orchestration.system.time_grid import within
 from orchestration.system.values import fmi_value
 
 Setting = tuple[Port, FmiValue]
@@ -73,7 +73,8 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
                 f"step size of {name!r}: no such component; {nearest(name, system.components)}",
                 ("step_sizes", name),
             )
-    last_is_shorter = not is_multiple(experiment.stop_time - experiment.start_time, experiment.step_size)
+    missing = experiment.step_count * experiment.step_size - (experiment.stop_time - experiment.start_time)
+    last_is_shorter = missing > experiment.time_resolution()
     instances = Counter(system.components.values())
     for name, description in system.descriptions.items():
         interface: Any = description.coSimulation

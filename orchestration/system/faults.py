@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from orchestration.errors import SystemDefinitionError
-from orchestration.system.time_grid import within
+from orchestration.system.time_grid import resolution_of, within
 
 
 class Pattern(NamedTuple):
@@ -270,7 +270,8 @@ class Delay(Effect):
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         middles = 0.5 * (times[1:] + times[:-1])
-        nearest = np.searchsorted(middles, times[inside] - self.delay)
+        # of two samples that are as near, always the earlier one, however the times are rounded
+        nearest = np.searchsorted(middles, times[inside] - self.delay - resolution_of(times))
         return Pattern.of_one(nearest, np.zeros(inside.shape))
 
 

@@ -96,6 +96,10 @@ class PreparedRun:
             raise SystemDefinitionError(
                 f"signal {name} is {value:.9g} at t = {t:.9g} s: expected {expected}", ("signals", name)
             )
+        low, high = value_range(self.system.ports[name])
+        # a computed curve that misses a limit by rounding is on it: an FMU refuses what is beyond
+        values[values < low] = low
+        values[values > high] = high
         return values
 
     @property
@@ -206,7 +210,7 @@ def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[
     ]
     for name in experiment.record:
         system.port(name, "record")
-    return tuple(experiment.record or (*experiment.signals, *external, *outputs))
+    return tuple(dict.fromkeys(experiment.record) or (*experiment.signals, *external, *outputs))
 
 
 def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:

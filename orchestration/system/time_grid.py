@@ -6,6 +6,12 @@ import numpy as np
 
 # Of a step: times are computed in floating point, so a time this close to a communication point is on it.
 GRID_TOLERANCE = 1e-9
+_ROUNDING = 4.0 * np.finfo(float).eps  # of the latest time, which is more than that of a short step
+
+
+def resolution(step: float, *times: float) -> float:
+    """Returns the largest difference [s] of equal times: a small part of a step, above rounding."""
+    return max(GRID_TOLERANCE * step, _ROUNDING * max(map(abs, times)))
 
 
 def time_grid(start: float, stop: float, step: float) -> np.ndarray:
@@ -17,13 +23,20 @@ def time_grid(start: float, stop: float, step: float) -> np.ndarray:
 
 def step_count(start: float, stop: float, step: float) -> int:
     """Returns the number of steps of that grid."""
-    return math.ceil((stop - start) / step - GRID_TOLERANCE)
+    return math.ceil((stop - start) / step - resolution(step, start, stop) / step)
 
 
 def within(times: np.ndarray, start: float, end: float) -> np.ndarray:
     """Returns the indices of ascending times [s] from `start` on and before `end`, shape (n,) -> (m,)."""
-    near = GRID_TOLERANCE * np.diff(times).min(initial=np.inf) if len(times) > 1 else 0.0
+    near = resolution_of(times)
     return np.flatnonzero((times >= start - near) & (times < end - near))
+
+
+def resolution_of(times: np.ndarray) -> float:
+    """Returns the largest difference [s] of equal times among ascending ones [s], shape (n,)."""
+    if len(times) < 2:
+        return 0.0
+    return resolution(float(np.diff(times).min()), float(times[0]), float(times[-1]))
 
 
 def is_multiple(length: float, step: float) -> bool:

@@ -87,6 +87,17 @@ def test_time_below_counts_from_the_first_crossing_and_between_points() -> None:
     assert metrics.time_below(flat, "z", limit=0.5, after=0.9) == pytest.approx(50.0, abs=0.01)
 
 
+def test_a_signal_that_is_no_number_has_no_metric() -> None:
+    """What is not known is neither a good run nor a bad one."""
+    lost = np.where(TIME < 60.0, np.sin(TIME), np.nan)
+    run = recording(z=lost, r=np.sin(TIME))
+    assert math.isnan(metrics.overshoot(run, "z", 1.0))
+    assert math.isnan(metrics.time_below(run, "z", limit=3.0, after=0.5))
+    uneven = Recording(("z", "r"), ("m", "m"), TIME**1.01, np.column_stack([lost, np.sin(TIME)]))
+    for points in (run, uneven):
+        assert math.isnan(metrics.shift_lag(points, "z", "r", largest=1.0))
+
+
 def test_maximum_and_minimum_keep_the_sign() -> None:
     """-50 .. 50, and -30 .. -10 in the window: the peak is a magnitude, these are not."""
     run = recording(z=TIME - 50.0)

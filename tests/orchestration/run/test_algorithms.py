@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import SystemDefinitionError
+from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.results.recording import Recording
-from orchestration.run import simulate
+from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Constant, Cosine, Ramps, Table
 from orchestration.system.system import System
@@ -217,6 +217,19 @@ def test_a_slow_component_takes_the_inputs_of_its_own_points(linear: Build) -> N
         if i and i % 4 == 0:
             x = decay * x + (1.0 - decay) * math.cos(t - 0.4)
         assert run["one.y[1]"][i] == pytest.approx(x, abs=1e-14)
+
+
+def test_a_slow_component_is_set_at_its_own_points_alone(linear: Build) -> None:
+    with Simulator(alone(linear)) as simulator:
+        run = simulator.start(Experiment(0.8, 0.1, inputs={"one.u[1]": 0.0}, step_sizes={"one": 0.4}))
+        run.advance(0.3)
+        with pytest.raises(OrchestrationError, match=r"one\.u\[1\]: one is within a step .* every 0\.4 s"):
+            run.set("one.u[1]", 1.0)
+        run.advance(0.4)
+        run.set("one.u[1]", 1.0)
+        run.advance(0.8)
+        expected = math.exp(-0.8) + 1.0 - math.exp(-0.4)
+        assert run.recording()["one.y[1]"][-1] == pytest.approx(expected, rel=1e-14)
 
 
 def test_the_last_step_of_a_slow_component_is_shorter(linear: Build) -> None:

@@ -10,7 +10,7 @@ from orchestration.results import metrics
 from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
-from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Delay, Fault
 from orchestration.system.system import System
 from tests.shared_builds import Build
@@ -32,6 +32,26 @@ def run(linear: Build, damping: float, step: float, spring_first: bool = False, 
 def energy(recording: Recording) -> np.ndarray:
     """Of the mass and the spring [J]: m v^2 / 2 + F^2 / (2 k)."""
     return 0.5 * MASS * recording[VELOCITY] ** 2 + 0.5 * recording[FORCE] ** 2 / STIFFNESS
+
+
+def test_it_takes_the_reduced_slopes_of_a_step_after_a_short_one(linear: Build) -> None:
+    """An integrator's output tells the mean of the line that it was given, and so the end of that line."""
+    integrator = {"a": 0.0, "interpolates_inputs": True}
+    mass = linear(b=(-1.0 / MASS,), initial_state=1.0, **integrator)
+    spring = linear(b=(STIFFNESS,), initial_state=0.0, **integrator)
+    system = System({"mass": mass, "spring": spring}, [(FORCE, "mass.u[1]"), (VELOCITY, "spring.u[1]")])
+    events = [Event(0.505, {"mass.a": 0.0})]
+    recording = simulate(system, Experiment(1.0, 0.1, extrapolation=1, events=events))
+    size, f, v = np.diff(recording.time), recording[FORCE], recording[VELOCITY]
+    assert size[5:7] == pytest.approx([0.005, 0.095])
+    of_force, of_velocity = -MASS * np.diff(v) / size, np.diff(f) / size / STIFFNESS  # means
+    given = [(f[:-1], 2.0 * of_force - f[:-1]), (v[:-1], 2.0 * of_velocity - v[:-1])]
+    work, other = (
+        (2.0 * (a * c + b * d) + a * d + b * c) / 6.0
+        for (a, b), (c, d) in zip(given, [(v[:-1], v[1:]), (f[:-1], f[1:])], strict=True)
+    )
+    # rounding of differences of 1 over 5 ms
+    assert energy_residuals(recording, FORCE, VELOCITY) == pytest.approx(size * (work - other), abs=1e-13)
 
 
 @pytest.mark.parametrize("spring_first", [True, False])

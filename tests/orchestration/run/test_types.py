@@ -145,7 +145,7 @@ def test_a_string_that_is_recorded_can_be_read_at_every_point(foreign: Mapping[s
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_strings_survive_files_and_tables(foreign: Mapping[str, Path], tmp_path: Path, ending: str) -> None:
-    recording = run(diaries(foreign), MONDAY)
+    recording = run(diaries(foreign), replace(MONDAY, inputs={"one.entry": "Mon\rday"}))
     recording.write(tmp_path / f"diary.{ending}")
     read = Recording.read(tmp_path / f"diary.{ending}")
     assert (read.names, read.units) == (recording.names, recording.units)

@@ -90,6 +90,21 @@ def test_faults_do_what_a_receiver_would_see(faults: list[Fault], times: np.ndar
     assert arrives(faults, times, sent) == pytest.approx(expected, rel=1e-12, abs=1e-15 * size)
 
 
+def test_a_delay_of_half_a_step_is_the_same_at_every_point() -> None:
+    times = 0.01 * np.arange(1000)
+    late = np.arange(1000) - Fault("a.u", Delay(0.015)).pattern(times).source.ravel()
+    assert set(late[2:].tolist()) == {2}
+
+
+def test_an_event_beside_a_communication_point_moves_no_fault() -> None:
+    times = 0.3 * np.arange(201)
+    more = np.insert(times, 101, times[100] + 3e-8)
+    fault = Fault("a.u", Stuck(9.0), start=0.9, end=15.0)
+    for grid in (times, more):
+        stuck = np.flatnonzero(fault.pattern(grid).source.ravel() < 0)
+        assert (stuck[0], stuck[-1]) == (3, 49)
+
+
 @given(faults_on_one_input(passing_on), grids)
 def test_values_that_are_passed_on_stay_exact(faults: list[Fault], times: np.ndarray) -> None:
     sent = np.random.default_rng(0).standard_normal(len(times))

@@ -1,7 +1,10 @@
 """A run has its communication points and what is set there, or is refused; prepared again, it is the same."""
 
+import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +16,9 @@ from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.prepared_run import PreparedRun, PreparedRuns, prepare
-from orchestration.system.signals import Constant, Cosine, Ramps, Signal
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table
 from orchestration.system.system import System, check
+from tests.described_fmus import redescribed
 from tests.shared_builds import Build
 
 NEAR = 1e-13  # rounding, of times of about 1 s
@@ -65,6 +69,38 @@ def test_a_step_size_longer_than_the_run_is_refused() -> None:
     with pytest.raises(SystemDefinitionError, match=r"step size 2.0 s: expected at most the run, 1 s"):
         Experiment(1.0, 2.0)
     assert len(Experiment(0.3, 0.1 + 0.2).time_grid()) == 2  # equal but for rounding
+
+
+@pytest.mark.parametrize(
+    ("start", "step"), [("36000", "0.001"), ("1e6", "0.01"), ("-36000", "0.001"), ("0", "1e-6")]
+)
+def test_a_run_has_its_whole_steps_wherever_it_starts(start: str, step: str) -> None:
+    """Rounding of a late start is much of a short step: no step of 0 s follows."""
+    for count in (1, 2, 3, 7, 27, 506, 2999):
+        stop = float(Decimal(start) + count * Decimal(step))
+        experiment = Experiment(stop, float(step), float(start))
+        assert experiment.step_count == count
+        longer = replace(experiment, stop_time=stop + 0.1 * float(step))
+        assert longer.step_count == count + 1
+
+
+def test_a_late_run_needs_no_component_that_varies_its_step(linear: Build) -> None:
+    system = System({"one": linear(varies_step_size=False)})
+    experiment = Experiment(36000.027, 0.001, 36000.0, inputs={"one.u[1]": 0.0})
+    assert len(simulate(system, experiment).time) == 28
+
+
+def test_a_signal_that_misses_a_limit_by_rounding_is_on_it(linear: Build, tmp_path: Path) -> None:
+    of_input = re.compile(r'(name="u\[1\]".*?<Real )', re.DOTALL)
+    fmu = redescribed(linear(), tmp_path / "a.fmu", lambda xml: of_input.sub(r'\1min="0" max="1" ', xml))
+    signal = Table([0.0, 0.5], [1.0, math.nextafter(1.0, 2.0)], hold=True)
+    prepared = prepare(System({"one": fmu}), Experiment(1.0, 0.1, signals={"one.u[1]": signal}))
+    assert prepared.values_of_signal("one.u[1]", signal).max() == 1.0
+
+
+def test_a_recording_has_each_name_once(linear: Build) -> None:
+    prepared = prepared_lag(linear(), record=("one.y[1]", "one.u[1]", "one.y[1]"))
+    assert prepared.recorded == ("one.y[1]", "one.u[1]")
 
 
 def test_a_recording_that_no_machine_holds_is_refused(linear: Build) -> None:
