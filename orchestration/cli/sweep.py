@@ -82,7 +82,7 @@ def sweep(
         shared.print_table(printed)
     print(path)
     if recordings:
-        print(path.with_suffix(".recordings"))
+        print(out / f"{planned.scenario.name}.recordings")
     if not results[table.ERROR].null_count:
         shared.fail(
             f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all"

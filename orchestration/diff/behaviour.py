@@ -87,7 +87,7 @@ def _experiment(old: Path, new: Path) -> Experiment:
     step = max(float(given["stepSize"] or usual), usual if one.is_model_exchange else 0.0)
     real = [v for v in shared if v.causality == "input" and v.type == "Real"]
     signals = {f"{_FMU}.{v.name}": _signal(v, number, stop - start) for number, v in enumerate(real)}
-    outputs = tuple(f"{_FMU}.{v.name}" for v in shared if v.causality == "output")
+    outputs = tuple(f"{_FMU}.{v.name}" for v in shared if v.causality == "output" and v.type != "String")
     discrete = [v for v in shared if v.causality == "input" and v.type in ("Boolean", "Enumeration")]
     half = Event((start + stop) / 2.0, {f"{_FMU}.{v.name}": _other_value(v) for v in discrete})
     events = [half] if discrete else []
@@ -116,9 +116,12 @@ def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:
 
 
 def _of_recordings(one: Recording, other: Recording) -> list[Change]:
+    ends = [float(run.time[-1]) for run in (one, other)]
+    if ends[0] != ends[1]:
+        return [Change(Level.MAJOR, "behaviour", f"ends at t = {ends[0]:.6g} s -> {ends[1]:.6g} s")]
     names = [name for name in one.names if name in other.names]
-    rows = min(one.time.size, other.time.size)
-    a, b = (np.array([own[name][:rows] for name in names], float).reshape(-1, rows).T for own in (one, other))
+    shape = len(names), one.time.size
+    a, b = (np.array([own[name] for name in names], float).reshape(shape).T for own in (one, other))
     differs = (a != b) & ~(np.isnan(a) & np.isnan(b))
     if not differs.any():
         return []

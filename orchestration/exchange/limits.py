@@ -171,7 +171,7 @@ def _parameters(source: RampSource, ramps: Ramps) -> dict[str, float | bool]:
     points = [(float(time), float(value)) for time, value in ramps.points]
     while len(points) < source.points:
         points.append((points[-1][0] + _SPARE_S, points[-1][1]))
-    parameters: dict[str, float | bool] = {f"{source.name}.smooth": True} if ramps.smooth else {}
+    parameters: dict[str, float | bool] = {f"{source.name}.smooth": ramps.smooth}
     for i, (time, value) in enumerate(points, start=1):
         parameters |= {f"{source.name}.point_time[{i}]": time, f"{source.name}.point_value[{i}]": value}
     return parameters

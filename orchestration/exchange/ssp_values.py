@@ -114,7 +114,10 @@ def _mapped(bound: BoundValue, entry: Element, package: OpenedPackage, purpose: 
         texts = {str(value).lower(), str(int(value))} if isinstance(value, bool) else {str(value)}
         if item.get("source") in texts:
             target = item.get("target", "")
-            given = target in ("true", "1") if isinstance(value, bool) else type(bound.value)(target)
+            try:
+                given = target in ("true", "1") if isinstance(value, bool) else type(bound.value)(target)
+            except ValueError as error:
+                raise package.error(f"{purpose}: target {target!r}: {error}") from None
             return bound._replace(value=given)
     linear = linear_transformation(entry, package, purpose)
     return bound._replace(value=value, transformations=(linear,) if linear else ())

@@ -11,7 +11,7 @@ from orchestration.errors import ScenarioError
 from orchestration.scenarios.interface import Describe, Interface
 from orchestration.scenarios.layers import Data, Layer, laid_over, names_in
 from orchestration.scenarios.replaced import Replacement, renamed
-from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file
+from orchestration.scenarios.vehicle import PLANT, VehicleValues, description_file, unit_of
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
@@ -96,9 +96,11 @@ def with_actuators(
         limit = own.get("voltage_limit")
         if isinstance(limit, str):
             limit = fmi_value(ports["voltage_limit"], limit)
-        told = actuators.parameters(float(limit or math.nan), points)
+        # what is told is in SI units, the controller may have others
+        factor = {n: unit.factor for n, port in ports.items() if (unit := unit_of(port.variable))}
+        told = actuators.parameters(factor.get("voltage_limit", 1.0) * float(limit or math.nan), points)
         entries |= {
-            ports[name].name: value
+            ports[name].name: value / factor[name] if name in factor else value
             for name, value in told.items()
             if name in own and (component.name not in replaced or component.has_part(name, "start", value))
         }

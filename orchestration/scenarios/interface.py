@@ -245,7 +245,9 @@ class Interface:
         if not port:
             return False
         varied = data.get("sweep", {}).get("vary", {}).get(port.name)
-        values = varied.get("values", []) if isinstance(varied, dict) else []
+        if isinstance(varied, dict) and "values" not in varied:
+            return False
+        values = varied["values"] if isinstance(varied, dict) else []
         values = [data.get("parameters", {}).get(port.name, start_value(port.variable)), *values]
         with suppress(SystemDefinitionError):
             # a wrong value is refused later, with its line

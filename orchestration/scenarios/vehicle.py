@@ -28,7 +28,7 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
-from fmus.units import si_unit
+from fmus.units import UnitDefinition, si_unit
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.actuators import FORCE, VOLTAGES, Actuators, ForceTable
 from orchestration.scenarios.file_format import FAULT, SIGNAL
@@ -124,6 +124,11 @@ def description_of(file: TomlFile) -> VehicleFile:
     return checked(_FILE, file.data, file.at)
 
 
+def unit_of(variable: ScalarVariable) -> UnitDefinition | None:
+    """Returns the unit of a variable as its FMU defines it, or by its symbols; None for a name without."""
+    return variable.units.get(variable.unit or "") or si_unit(variable.unit or "")
+
+
 def transfer_lag(b_1: float, a_2: float, a_1: float, a_0: float) -> float:
     """Returns the first moment [s] of (b_1 s + a_0) / (s^3 + a_2 s^2 + a_1 s + a_0), 0 for an a_0 of 0."""
     return (a_1 - b_1) / a_0 if a_0 > 0.0 else 0.0
@@ -158,7 +163,7 @@ class VehicleValues:
             number = float(fmi_value(Port(PLANT, variable), given) if isinstance(given, str) else given)
         except (TypeError, ValueError):
             raise ScenarioError(f"{PLANT}.{name} = {given!r}: expected a number") from None
-        unit = variable.units.get(variable.unit or "") or si_unit(variable.unit or "")
+        unit = unit_of(variable)
         return number * unit.factor + unit.offset if unit else number
 
     def values(self, key: str) -> list[float]:

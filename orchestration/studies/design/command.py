@@ -40,6 +40,7 @@ def design(
             metavar="RAD/S",
             help="Bandwidth of the reference model A_m of L1, and of PID; 0 takes the largest that fits.",
             min=0.0,
+            max=1e6,
         ),
     ] = 0.0,
     phase_margin: Annotated[

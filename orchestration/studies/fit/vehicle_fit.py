@@ -170,6 +170,8 @@ class _Runs:
         self.depth = vehicle.variable(DEPTH)
         settings = _settings(vehicle)
         step = suggested_times(self.system, 1.0, step_size)[1]
+        if not 0.0 < step < math.inf:
+            raise OrchestrationError(f"step size {step!r} s: expected a finite number, more than 0")
         for dive in dives:
             if (count := dive.times[-1] / step) > _MOST_STEPS:
                 got = f"{dive.name}: {dive.times[-1]:.6g} s are {count:.3g} communication steps"
@@ -252,8 +254,9 @@ def fit_vehicle(
     step_size: communication step [s], by default the step of the FMU; progress: called after each evaluation
     Raises OrchestrationError for values with which the vehicle cannot run, and too few readings.
     """
-    if len({dive.name for dive in dives}) < len(dives):
-        raise OrchestrationError(f"two dives are called {dives[0].name}: expected files of different names")
+    names = [dive.name for dive in dives]
+    if twice := next((name for name in names if names.count(name) > 1), ""):
+        raise OrchestrationError(f"two dives are called {twice}: expected files of different names")
     count = sum(len(dive.times) for dive in dives)
     most = _EVALUATIONS * (len(free) + len(dives))
     with LocalRuns(workers, expected=most * len(dives)) as local_runs:

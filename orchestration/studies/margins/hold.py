@@ -140,7 +140,11 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         timeout: float | None = None,
     ) -> None:
         self.hold = hold or hold_of(chosen)
-        experiment, end = chosen.experiment, self.hold.end
+        experiment, begin, end = chosen.experiment, self.hold.start, self.hold.end
+        start, stop = experiment.start_time, experiment.stop_time
+        if not start <= begin < end <= stop:
+            expected = f"expected a part of the run, {start:g} to {stop:g} s"
+            raise OrchestrationError(f"window {begin:g} to {end:g} s: {expected}")
         self._experiment = replace(
             experiment,
             stop_time=end,

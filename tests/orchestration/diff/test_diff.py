@@ -119,6 +119,19 @@ def test_a_value_that_is_no_number_in_one_run_alone_is_the_largest_difference(co
     assert _of_recordings(two, two) == []
 
 
+def test_a_run_that_ends_earlier_is_a_major_change() -> None:
+    time = np.array([0.0, 0.1, 0.2])
+    whole = Recording(("a.y",), ("",), time, np.ones((3, 1)))
+    short = Recording(("a.y",), ("",), time[:2], np.ones((2, 1)))
+    (change,) = _of_recordings(whole, short)
+    assert (change.level, change.text) == (Level.MAJOR, "ends at t = 0.2 s -> 0.1 s")
+
+
+@pytest.mark.usefixtures("_in_this_process")
+def test_texts_are_not_compared(foreign: Fmus) -> None:
+    assert behaviour.behaviour_changes(foreign["Diary"], foreign["Diary"], 10.0) == []
+
+
 def test_runs_that_have_no_variable_in_common_do_not_differ() -> None:
     one, other = (Recording((name,), ("",), np.zeros(1), np.ones((1, 1))) for name in ("a.y", "a.z"))
     assert _of_recordings(one, other) == []

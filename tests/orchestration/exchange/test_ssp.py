@@ -144,6 +144,15 @@ def test_every_parameter_set_has_the_same_names(package: Path) -> None:
     assert {p.name: p.value for p in plain.parameters}["controller.augmentation"] == "1"
 
 
+def test_a_variant_of_a_package_with_smooth_ramps_has_its_own_ramps(tmp_path: Path) -> None:
+    """Its parameter set says so, as the FMU in the package starts with smooth ones."""
+    chosen = scenario.load(scenario.find("nominal-extended-smooth"))
+    path = ssp_write.package(chosen, tmp_path / "smooth.ssp", build_ramp_source, lambda fmu, *_: fmu)
+    for name, is_smooth in (("nominal-extended-smooth", "true"), ("nominal-extended", "false")):
+        values = {p.name: p.value for p in read_ssv(str(path), f"parameters/{name}.ssv").parameters}
+        assert values["depth_reference.smooth"] == is_smooth
+
+
 def test_components_are_to_start_with_the_values_of_the_packaged_scenario(
     package: Path, asked_starts: dict[str, dict]
 ) -> None:

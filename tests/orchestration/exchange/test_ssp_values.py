@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from fmus.files import write_archive
+from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read
 from tests.described_fmus import members, redescribed
 from tests.orchestration.exchange.conftest import refusal
@@ -118,6 +119,18 @@ def test_a_mapping_renames_converts_and_then_transforms(
 
 ITEMS = '<TypeDefinitions><SimpleType name="Law"><Enumeration><Item name="none" value="1"/>'
 ITEMS += '<Item name="pi" value="2"/></Enumeration></SimpleType></TypeDefinitions>'
+
+
+def test_a_table_of_a_mapping_with_a_text_for_an_integer_is_refused(tmp_path: Path) -> None:
+    kind = "ssc:IntegerMappingTransformation"
+    item = f'<{kind}><ssc:MapEntry source="3" target="x"/></{kind}>'
+    own = binding("p", '<ssv:Integer value="3"/>', "", mapping("p", "a.k", item))
+    path = package(tmp_path, system("root", component("a"), "", bindings(own)), "Integer")
+    with (
+        pytest.raises(ScenarioError, match=r"mapping of a\.k: target 'x': invalid literal"),
+        ssp_read.opened(path),
+    ):
+        pass
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,18 @@ def test_a_controller_with_a_force_and_the_allocation_behind_it_are_told_both(tm
     }
 
 
+def test_a_controller_is_told_in_its_own_units(tmp_path: Path) -> None:
+    plant = boat(tmp_path, '[variables]\ngain = ["fore", "aft"]\n', limit=16.0)
+    names = ("force_limit", "voltage_limit", "thruster_gain[1]")
+    inputs, outputs = ("depth_reference", "measured_depth"), VOLTAGES
+    units = {"force_limit": "mN", "voltage_limit": "kV", "thruster_gain[1]": "N/mV"}
+    controller = described(tmp_path / "p.fmu", inputs, outputs, names, units)
+    told = parameters(plant, controller=str(controller), plant__fore=4.0, plant__aft=2.0)
+    assert told["controller.force_limit"] == pytest.approx(96e3)
+    assert told["controller.voltage_limit"] == pytest.approx(16e-3)
+    assert told["controller.thruster_gain[1]"] == pytest.approx(4e-3)
+
+
 def test_settings_and_the_file_that_names_the_vehicle_give_others(tmp_path: Path) -> None:
     plant = boat(tmp_path, limit=16.0)
     assert parameters(plant, controller__voltage_limit=5.0) == {}

@@ -61,8 +61,11 @@ def test_a_reference_whose_derivatives_nobody_knows_is_refused(tmp_path: Path) -
         scenario.load(tmp_path / "mine.toml")
 
 
-def test_a_sweep_over_the_parameter_drives_them(tmp_path: Path) -> None:
-    sweep = f'[sweep]\nsamples = 3\n[sweep.vary."{FEEDFORWARD}"]\nvalues = ["none", "inside"]\n'
+@pytest.mark.parametrize(
+    "drawn", ['values = ["none", "inside"]', 'distribution = "integers"\nlow = 1\nhigh = 3']
+)
+def test_a_sweep_over_the_parameter_drives_them(tmp_path: Path, drawn: str) -> None:
+    sweep = f'[sweep]\nsamples = 3\n[sweep.vary."{FEEDFORWARD}"]\n{drawn}\n'
     text = f'base = "nominal-l1"\n{sweep}'
     (tmp_path / "mine.toml").write_text(text)
     assert RATE in scenario.load(tmp_path / "mine.toml").experiment.signals

@@ -50,6 +50,7 @@ def test_it_writes_a_table_and_prints_a_summary(
     assert "one by one" not in out  # what ran the samples is no result
     assert "l1-depth: 1 processes, runs one by one: " in done.stderr
     assert "results/mine.sweep.parquet" in out
+    assert "results/mine.recordings" in out
     assert len(list((tmp_path / "results" / "mine.recordings").glob("sample-*.parquet"))) == 12
     assert set(tmp_path.iterdir()) == before | {tmp_path / "results", tmp_path / "tmp"}
 

@@ -121,6 +121,7 @@ def test_a_mistake_is_one_line(refused: Command, log: Path) -> None:
     for options, message in (
         (["--free", "mas"], "--free mas: expected a parameter of type Real; nearest is 'mass'"),
         (["--free", "mass", "--set", "controller.kp=1"], "controller.kp: expected plant.NAME"),
+        (["--free", "mass", *COLUMNS[4:], "--step-size", "nan"], "step size nan s: expected a finite number"),
         (["--free", "mass", "--map", "depth=z"], "controller.depth: expected plant.NAME or data.NAME"),
         (["--free", "mass", "--map", "data.time=zeit"], "no column 'zeit'"),
         (["--free", "mass", "--map", "data.control_force=nothing"], "no column 'nothing'"),

@@ -108,6 +108,8 @@ def test_a_scenario_without_a_hold_is_told_so(command: Command, short_scenario: 
         (("--over", "controller.adaptation_gain=high"), "expected component.parameter=number,number"),
         (("--theory", "--over", "a.b=1"), "--over: no effect with --theory"),
         ((*HOLD[:1], "plant.dept", *HOLD[2:]), "no variable 'plant.dept'; nearest is 'plant.depth'"),
+        ((*HOLD[:3], "0.1", "20"), "window 0.1 to 20 s: expected a part of the run, 0 to 0.2 s"),
+        ((*HOLD[:3], "0.2", "0.1"), "window 0.2 to 0.1 s: expected a part of the run"),
         ((*HOLD, "--over", "controller.gamma=1"), "no variable 'controller.gamma'"),
     ],
 )
