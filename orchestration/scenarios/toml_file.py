@@ -15,6 +15,7 @@ from fmus.errors import nearest
 from orchestration.errors import InputError, Key, ScenarioError
 
 KeyPath = tuple[str | int, ...]
+_VALUES = ("parameters", "inputs", "signals")
 _KEY = r"""(?:[\w-]+|"(?:[^"\\]|\\.)*"|'[^']*')"""
 _KEYS = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
 _ENTRY = re.compile(rf"\s*({_KEYS})\s*=")
@@ -62,6 +63,9 @@ class TomlFile:
         if isinstance(key, tuple):
             return self.lines.get(key)
         name = key
+        # values before what only names the variable, such as `record`
+        if line := next((self.lines[t, name] for t in _VALUES if (t, name) in self.lines), None):
+            return line
         named = re.compile(rf"(?<![\w.]){re.escape(name)}(?![\w\[])")
         for number, line in enumerate(self.text.splitlines(), start=1):
             if named.search(line) and not line.lstrip().startswith("#"):

@@ -19,6 +19,7 @@ from orchestration.run.run_recording import make_recording
 from orchestration.scenarios.changes import tables_of_values, with_values
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.toml_file import KeyPath, placed
 from orchestration.sweep.varied import (
     MOST_VALUES,
     SweepTable,
@@ -103,9 +104,17 @@ def plan(scenario: Scenario) -> Plan:
 
     A metric that can be computed of no recording is refused here, not in each sample.
     """
-    own = next((file.at(("sweep",)) for file in scenario.files if "sweep" in file.data), scenario.name)
-    where = f"{own}: sweep"
-    table = sweep_table(scenario.sweep, where)
+
+    def at(keys: KeyPath) -> str:
+        """Returns where a key of the table stands: in the uppermost file that has it."""
+        for length in range(len(keys), -1, -1):
+            for file in scenario.files:
+                if ("sweep", *keys[:length]) in file.lines:
+                    return f"{file.at(('sweep', *keys[:length]))}: sweep"
+        return f"{scenario.name}: sweep"
+
+    where = at(())
+    table = sweep_table(scenario.sweep, at)
     for name in _COLUMNS:
         if name in scenario.metrics:
             raise ScenarioError(
@@ -116,8 +125,10 @@ def plan(scenario: Scenario) -> Plan:
     if "experiment.stop_time" not in table.vary:  # another end may be what a metric needs
         rows = np.zeros(prepared.shape)
         evaluate(make_recording(prepared, rows, len(rows), is_final=True), scenario.metrics)
+    with placed(scenario.files):
+        targets = {name: target(name, prepared.system, experiment) for name in table.vary}
     entries = tuple(
-        varied(target(name, prepared.system, experiment), declared, f"{where}: {name}")
+        varied(targets[name], declared, f"{at(('vary', name))}: {name}")
         for name, declared in table.vary.items()
         if isinstance(declared, Table)
     )

@@ -13,7 +13,7 @@ from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.scenarios.changes import EXPERIMENT_SETTINGS, table_of_value
-from orchestration.scenarios.file_tables import OneOf, Table, Value, checked, table_of
+from orchestration.scenarios.file_tables import At, OneOf, Table, Value, checked, table_of
 from orchestration.sweep.distributions import FROM_THE_FMU, FUNCTIONS, UNBOUNDED, distribution
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.quantities import Conversion, conversion, in_unit_of
@@ -175,11 +175,11 @@ class SweepTable(Table):
 _SWEEP = TypeAdapter(SweepTable)
 
 
-def sweep_table(declared: object, where: str) -> SweepTable:
+def sweep_table(declared: object, at: At) -> SweepTable:
     """Returns the table `[sweep]` as its type; ScenarioError if it is wrong."""
     if not declared:
-        raise ScenarioError(f'{where}: expected a table [sweep.vary."component.variable"], got none')
-    return checked(_SWEEP, declared, where)
+        raise ScenarioError(f'{at(())}: expected a table [sweep.vary."component.variable"], got none')
+    return checked(_SWEEP, declared, at)
 
 
 MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor end

@@ -231,7 +231,7 @@ def _tuple_of(kind: type, values: Any, name: str) -> tuple[Any, ...]:
     return tuple(values)
 
 
-def _expect(condition: bool, message: str, *about: str) -> None:
+def _expect(condition: bool, message: str, *about: str | int) -> None:
     """Raises SystemDefinitionError if a condition does not hold; about: keys of an entry of a scenario."""
     if not condition:
         raise SystemDefinitionError(message, *([about] if about else []))
@@ -256,9 +256,9 @@ def _check_times(experiment: Experiment) -> None:
     count = (stop - start) / step
     expected = f"expected at most {_MOST_STEPS:.0e}"
     _expect_setting(count <= _MOST_STEPS, f"{count:.3g} communication steps: {expected}", "step_size")
-    for event in experiment.events:
+    for i, event in enumerate(experiment.events):
         expected = f"expected a time within the run, {start:g}..{stop:g} s"
-        _expect(start <= event.time <= stop, f"event at {event.time!r} s: {expected}", "events")
+        _expect(start <= event.time <= stop, f"event at {event.time!r} s: {expected}", "events", i)
 
 
 def _check_options(experiment: Experiment) -> None:

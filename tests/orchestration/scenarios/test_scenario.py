@@ -293,6 +293,14 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, text: str, line: int) -
     ("text", "place"),
     [
         ('[parameters]\n"plant.inertia" = -1.0', r"mine.toml:3: plant.inertia = -1.0: expected 0.1"),
+        (
+            '[metrics.m]\nfunction = "mean"\nsignal = "plant.inertia"\n[parameters]\n"plant.inertia" = -1.0',
+            r"mine.toml:6: plant",
+        ),
+        (
+            '[[events]]\ntime = 1e6\nset = { "plant.buoyancy_change" = 1.0 }',
+            r"mine.toml:2: event at 1000000.0 s: expected",
+        ),
         ('[connections]\n"plant.roll" = "plant.dept"', r"mine.toml:3: connection plant.dept -> "),
         ("[step_sizes]\nplent = 0.04", r"mine.toml:3: step size of 'plent': no such component"),
         ("[experiment]\ntolerance = 2.0", r"mine.toml:3: tolerance = 2.0: expected more than 0"),

@@ -326,6 +326,26 @@ def test_a_mistake_is_told_before_anything_runs(planned: Make, sweep: str, messa
 
 
 @pytest.mark.parametrize(
+    ("lines", "place"),
+    [
+        (
+            'samples = 3.5\n[sweep.vary."a.u"]\ndistribution = "uniform"\nlow = 0\nhigh = 1',
+            "below.toml:8: sweep: sa",
+        ),
+        ('samples = 3\n[sweep.vary."a.u"]\ndistribution = "uniforn"', "below.toml:9: sweep: vary"),
+        ('samples = 3\n[sweep.vary."a.v"]\nvalues = [1.0]', r"\(\S*below.toml:9\)$"),
+    ],
+)
+def test_a_mistake_below_is_told_with_its_file_and_line(tmp_path: Path, lines: str, place: str) -> None:
+    described(tmp_path / "a.fmu", ["u"])
+    base = '[components]\na = "a.fmu"\n[experiment]\nstop_time = 1\nstep_size = 0.1\nopen_inputs = "start"\n'
+    (tmp_path / "below.toml").write_text(f"{base}[sweep]\n{lines}\n")
+    (tmp_path / "s.toml").write_text('base = "below.toml"\n[sweep]\nseed = 5\n')
+    with pytest.raises(OrchestrationError, match=place):
+        plan(scenario.load(tmp_path / "s.toml"))
+
+
+@pytest.mark.parametrize(
     ("driver", "cause"),
     [("", "nothing drives it"), ('[signals."a.u"]\nkind = "ramps"\npoints = [[0, 1]]', "is driven by a")],
 )
