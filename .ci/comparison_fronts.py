@@ -104,7 +104,9 @@ class Fronts:
 
     def verdict(self, first: str, second: str) -> str:
         """Returns in words on which vehicles the first law has the better front."""
-        return ", ".join(f"{self._word(v, first, second)} on {v}" for v in self.vehicles)
+        words = {v: self._word(v, first, second) for v in self.vehicles}
+        vehicles = {word: [v for v in words if words[v] == word] for word in words.values()}
+        return "; ".join(f"{word} on {', '.join(own)}" for word, own in vehicles.items())
 
     def _word(self, vehicle: str, first: str, second: str) -> str:
         laws = self.laws[vehicle]

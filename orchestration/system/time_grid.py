@@ -6,7 +6,7 @@ import numpy as np
 
 # Of a step: times are computed in floating point, so a time this close to a communication point is on it.
 GRID_TOLERANCE = 1e-9
-_ROUNDING = 4.0 * np.finfo(float).eps  # of the latest time, which is more than that of a short step
+_ROUNDING = 4.0 * np.finfo(float).eps  # of the latest time, not of a step, which may be short
 
 
 def resolution(step: float, *times: float) -> float:

@@ -223,7 +223,7 @@ def test_a_slow_component_is_set_at_its_own_points_alone(linear: Build) -> None:
     with Simulator(alone(linear)) as simulator:
         run = simulator.start(Experiment(0.8, 0.1, inputs={"one.u[1]": 0.0}, step_sizes={"one": 0.4}))
         run.advance(0.3)
-        with pytest.raises(OrchestrationError, match=r"one\.u\[1\]: one is within a step .* every 0\.4 s"):
+        with pytest.raises(OrchestrationError, match=r"one\.u\[1\]: one is within a step: .* every 0\.4 s"):
             run.set("one.u[1]", 1.0)
         run.advance(0.4)
         run.set("one.u[1]", 1.0)

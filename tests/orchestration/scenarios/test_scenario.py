@@ -294,8 +294,8 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, text: str, line: int) -
     [
         ('[parameters]\n"plant.inertia" = -1.0', r"mine.toml:3: plant.inertia = -1.0: expected 0.1"),
         (
-            '[metrics.m]\nfunction = "mean"\nsignal = "plant.inertia"\n[parameters]\n"plant.inertia" = -1.0',
-            r"mine.toml:6: plant",
+            '[sweep.vary."plant.inertia"]\nvalues = [5.0]\n[parameters]\n"plant.inertia" = -1.0',
+            r"mine.toml:5: plant.inertia = -1.0: expected 0.1",
         ),
         (
             '[[events]]\ntime = 1e6\nset = { "plant.buoyancy_change" = 1.0 }',
