@@ -132,8 +132,8 @@ class Access:
         if point % experiment.period(port.component):
             size = experiment.step_sizes[port.component]
             raise OrchestrationError(
-                f"{port.name}: {port.component} is within a step: expected a set at its communication points, "
-                f"every {size:g} s"
+                f"{port.name}: {port.component} is within a step: expected a set at its communication "
+                f"points, every {size:g} s"
             )
         set_in_fmu(self._run, port, value)
 

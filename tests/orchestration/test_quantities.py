@@ -118,7 +118,7 @@ def of_event(folder: Path, number: float, unit: str) -> object:
 def of_sweep(entry: str) -> Callable[[Path, float, str], object]:
     def read(folder: Path, number: float, unit: str) -> object:
         chosen = loaded(folder, f'[sweep.vary."a.k"]\n{entry.format(number=number, unit=unit)}\n')
-        declared: Any = sweep_table(chosen.sweep, "s").vary["a.k"]
+        declared: Any = sweep_table(chosen.sweep, lambda _: "s").vary["a.k"]
         of_name = varied(target("a.k", chosen.prepared.system, chosen.experiment), declared, "s")
         return of_name.grid[0] if of_name.draw is None else of_name.draw([0.0])[0]
 
@@ -349,7 +349,7 @@ def test_a_file_of_a_package_defines_its_own_units(fmu: Path) -> None:
 def test_a_setting_of_the_experiment_is_varied_in_any_unit_of_time(fmu: Path) -> None:
     entry = '[sweep.vary."experiment.step_size"]\nvalues = [500, 250]\nunit = "ms"\n'
     chosen = loaded(fmu.parent, entry)
-    declared: Any = sweep_table(chosen.sweep, "s").vary["experiment.step_size"]
+    declared: Any = sweep_table(chosen.sweep, lambda _: "s").vary["experiment.step_size"]
     name = target("experiment.step_size", chosen.prepared.system, chosen.experiment)
     assert varied(name, declared, "s").grid == (0.5, 0.25)
 
@@ -359,7 +359,7 @@ def test_a_truncated_distribution_is_cut_at_the_limits_of_the_variable(fmu: Path
     limited = redescribed(fmu, fmu.parent / "b.fmu", lambda xml: xml.replace(' unit="m"', most))
     checked = check(System({"a": limited}), open_inputs=OpenInputs.START)
     law = 'distribution = "normal"\nmean = 199.0\nstd = 10.0\ntruncate = true\nunit = "cm"\n'
-    declared: Any = sweep_table(tomllib.loads(f'[vary."a.k"]\n{law}'), "s").vary["a.k"]
+    declared: Any = sweep_table(tomllib.loads(f'[vary."a.k"]\n{law}'), lambda _: "s").vary["a.k"]
     draw = varied(target("a.k", checked, Experiment(1.0, 0.1)), declared, "s").draw
     assert draw is not None
     assert draw([0.999999])[0] == pytest.approx(2.0, abs=1e-4)
