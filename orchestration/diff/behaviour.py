@@ -118,10 +118,13 @@ def _signal(variable: ScalarVariable, number: int, duration: float) -> Sines:
 def _of_recordings(one: Recording, other: Recording) -> list[Change]:
     ends = [float(run.time[-1]) for run in (one, other)]
     if ends[0] != ends[1]:
-        return [Change(Level.MAJOR, "behaviour", f"ends at t = {ends[0]:.6g} s -> {ends[1]:.6g} s")]
+        level = Level.MAJOR if ends[1] < ends[0] else Level.MINOR
+        return [Change(level, "behaviour", f"ends at t = {ends[0]:.6g} s -> {ends[1]:.6g} s")]
     names = [name for name in one.names if name in other.names]
-    shape = len(names), one.time.size
-    a, b = (np.array([own[name] for name in names], float).reshape(shape).T for own in (one, other))
+    shape = len(names), min(one.time.size, other.time.size)
+    a, b = (
+        np.array([own[name][: shape[1]] for name in names], float).reshape(shape).T for own in (one, other)
+    )
     differs = (a != b) & ~(np.isnan(a) & np.isnan(b))
     if not differs.any():
         return []

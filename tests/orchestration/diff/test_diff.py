@@ -125,6 +125,8 @@ def test_a_run_that_ends_earlier_is_a_major_change() -> None:
     short = Recording(("a.y",), ("",), time[:2], np.ones((2, 1)))
     (change,) = _of_recordings(whole, short)
     assert (change.level, change.text) == (Level.MAJOR, "ends at t = 0.2 s -> 0.1 s")
+    (change,) = _of_recordings(short, whole)
+    assert change.level is Level.MINOR
 
 
 @pytest.mark.usefixtures("_in_this_process")
