@@ -119,9 +119,8 @@ def _rows(
     groups: dict[str, list[str]] = {}
     for port in sorted(declared_variables(variables), key=lambda port: port not in fmus):
         names = fmus.get(port, (rest,))
-        groups.setdefault(f"{names[0]} or {len(names) - 1} more FMUs" if names[1:] else names[0], []).append(
-            port
-        )
+        others = f" or {len(names) - 1} other{'s' * (len(names) > 2)}" if names[1:] else ""
+        groups.setdefault(names[0] + others, []).append(port)
     return [
         row for name, ports in groups.items() for row in ((name, False), *((port, True) for port in ports))
     ]

@@ -110,7 +110,7 @@ def test_the_diagram_groups_ports_by_the_fmus_that_they_fit() -> None:
         "depth_reference",
         "depth_reference_rate",
         "depth_reference_acceleration",
-        "BlueRov2Plant or 2 more FMUs",
+        "BlueRov2Plant or 2 others",
     ]
 
 
