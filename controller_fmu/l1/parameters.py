@@ -26,9 +26,9 @@ u_omega      = u_a + u_f        input_gain_regressor adaptive_control
 C(s)         = w / (s + w)                         filter_order first
                (3 w^2 s + w^3) / (s + w)^3         filter_order third
 
-v, u_f       = k_g r, 0                            reference_feedforward none
-               f, 0                                reference_feedforward inside
-               (1 - omega_hat) f, f                reference_feedforward outside
+v = k_g r, u_f = 0                                 reference_feedforward none
+v = f, u_f = 0                                     reference_feedforward inside
+v = (1 - omega_hat) f, u_f = f                     reference_feedforward outside
 f            = k_g (r - (tr(A_m) r' - r'') / det(A_m)),   for C B_m = 0
 
 u_p          = 0                                   augmentation none

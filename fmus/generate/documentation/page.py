@@ -43,7 +43,7 @@ _ARRAYS = {
 _EXCHANGE = "<tr><td>Model exchange</td><td>{}</td></tr>"
 _PATHS = "<p>Paths that begin with docs/ are in the repository of l1-depth.</p>"
 _BUILDING = """<li>For another platform compile sources/{file} with the importer's headers of FMI {fmi}.0;
-FMI{fmi}_OVERRIDE_FUNCTION_PREFIX makes the functions export names without a prefix:
+FMI{fmi}_OVERRIDE_FUNCTION_PREFIX exports the functions without a prefix:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
 _HEADINGS = ("Name", "Meaning", "Unit or type", "Start", "Permitted", "Variability", "Source")
