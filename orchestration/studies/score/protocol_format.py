@@ -135,7 +135,7 @@ class ProtocolFile(Table):
     """[time, depth] of the reference, in s and m; straight lines between them."""
     metrics: dict[str, MetricTable]
     failure: dict[str, float]
-    """Metric -> a run with more of it failed."""
+    """Metric -> its limit: a run above it failed."""
     cases: dict[str, CaseTable]
     plants: PlantsTable
     cost: CostTable

@@ -73,7 +73,7 @@ class ProtocolInfo(Part):
     left_out: dict[str, str] = {}
     """Title of a case that cannot run on the vehicle -> what the vehicle lacks."""
     failure: dict[str, float]
-    """Metric -> a run with more of it failed, as does one that does not settle or ends early."""
+    """Metric -> its limit: a run above it failed, and one that does not settle or ends early."""
 
 
 class CaseResult(Part):
@@ -106,7 +106,7 @@ class ManyRuns(Part):
     failure_rate: float
     """Share of the runs that failed."""
     failure_interval: tuple[float, float]
-    """95 % of that rate, by Clopper and Pearson."""
+    """Its confidence interval of 95 %, by Clopper and Pearson."""
     failed: dict[str, list[str]] = {}
     """Number of a run -> why it counts as failed."""
     metrics: dict[str, MetricOverRuns]
@@ -131,7 +131,7 @@ class Row(Part):
     connected: list[str] = []
     """Its connected inputs among reference, its derivatives and depth rate, by names of the interface."""
     scored: bool
-    """Whether it is what the command was given, not one of the protocol."""
+    """Whether it was given to the command, not taken from the protocol."""
     fmu: dict[str, Any]
     """Model, GUID, generation tool and SHA-256 of its FMU."""
     parameters: dict[str, Any] = {}
@@ -143,15 +143,15 @@ class Row(Part):
     delay_margin: Number = math.nan
     """Median of `delay_margins`; null if the nominal case fails or a draw has none."""
     delay_margins: list[Number] = []
-    """Longest additional delay [s] of the nominal case, of --full in each draw; null if unsettled."""
+    """Longest additional delay [s] of the nominal case, with --full in each draw; null if unsettled."""
     microseconds: Number = math.nan
     """Time [us] of a communication step of the controller's FMU in the nominal run, on this machine."""
     cases: dict[str, CaseResult] = {}
     """Case -> the result of its one run."""
     draws: dict[str, ManyRuns] = {}
-    """Case that does not repeat the nominal one -> its runs with drawn seeds and times, of --full."""
+    """Case that does not repeat the nominal one -> its runs with drawn seeds and times, with --full."""
     plants: ManyRuns | None = None
-    """Runs of the nominal case on random plants, of --full."""
+    """Runs of the nominal case on random plants, with --full."""
 
     @property
     def symbols(self) -> str:
@@ -173,7 +173,7 @@ class PairedDifference(Part):
     median_difference: Number
     """Median over the pairs, in the unit of the metric."""
     interval: tuple[Number, Number]
-    """Confidence interval of the median difference; all intervals of a metric hold together with 95 %."""
+    """Confidence interval of the median difference; all intervals of a metric hold jointly with 95 %."""
     margin: Number
     """A difference below it counts as none: 5 % of the lesser median."""
     verdict: Verdict
@@ -192,13 +192,13 @@ class Score(Part):
     seed: int = 0
     """Seed of noise, times and plants: `--seed` repeats them."""
     seed_is_given: bool | None = None
-    """Whether the seed was chosen, not drawn: its noise may have been known; null: not recorded."""
+    """Whether the seed was chosen (its noise may have been known), not drawn; null: not recorded."""
     protocol: ProtocolInfo
     """Description of the protocol: metrics and cases."""
     rows: list[Row]
     """Results, one entry for each controller."""
     differences: list[PairedDifference] = []
-    """Paired differences between controllers, of --full."""
+    """Paired differences between controllers, with --full."""
 
     @property
     def seed_text(self) -> str:
