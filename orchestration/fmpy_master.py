@@ -167,7 +167,7 @@ class Master:
         return self._variables[name]
 
     def exchange(self, signals: Mapping[str, float]) -> None:
-        """Notes the next value of every input, from its signal or from the output connected to it."""
+        """Notes the next values of the inputs that signals or connected outputs drive."""
         self.values.update(signals)
         for source, target in self.connections:
             value = self.values[target] = self.values[source]

@@ -21,7 +21,6 @@ from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
 from orchestration.system.system import CheckedSystem, Port, System
-from orchestration.system.time_grid import GRID_TOLERANCE
 
 
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
@@ -79,7 +78,7 @@ def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
 def _around(jumps: np.ndarray, experiment: Experiment) -> np.ndarray:
     """Returns the communication points where jumps arrive, and the points before them [s]."""
     start, step = experiment.start_time, experiment.step_size
-    arrivals = np.ceil((jumps - start) / step - GRID_TOLERANCE)
+    arrivals = np.ceil((jumps - start - experiment.time_resolution()) / step)
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
 
 

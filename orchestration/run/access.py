@@ -111,7 +111,7 @@ class Access:
         port = self._system.port(name, "set")
         check_changeable(port, "set", self._driven_by_others)
         if name not in self._run.prepared.external:
-            return lambda value: self._set_in_fmu(port, fmi_value(port, value))
+            return self._writer_in_fmu(port)
         bus, index = self._bus, self._index[f"{SIGNAL}{name}"]
         low, high = (max(-_LARGEST, min(limit, _LARGEST)) for limit in value_range(port))
         is_real = port.variable.type == "Real"
@@ -127,15 +127,20 @@ class Access:
 
         return write
 
-    def _set_in_fmu(self, port: Port, value: FmiValue) -> None:
-        experiment, point = self._run.prepared.experiment, self._run.wiring.report[Report.POSITION]
-        if point % experiment.period(port.component):
-            size = experiment.step_sizes[port.component]
-            raise OrchestrationError(
-                f"{port.name}: {port.component} is within a step: expected a set at its communication "
-                f"points, every {size:g} s"
-            )
-        set_in_fmu(self._run, port, value)
+    def _writer_in_fmu(self, port: Port) -> Callable[[Value], None]:
+        experiment, report = self._run.prepared.experiment, self._run.wiring.report
+        period = experiment.period(port.component)
+
+        def write(value: Value) -> None:
+            if report[Report.POSITION] % period:
+                size = experiment.step_sizes[port.component]
+                raise OrchestrationError(
+                    f"{port.name}: {port.component} is within a step: expected a set at its communication "
+                    f"points, every {size:g} s"
+                )
+            set_in_fmu(self._run, port, fmi_value(port, value))
+
+        return write
 
     def close(self) -> None:
         """Makes readers and writers refuse, and lets go of the run, whose rows the next one may use."""

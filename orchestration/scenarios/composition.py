@@ -96,7 +96,7 @@ def with_actuators(
         limit = own.get("voltage_limit")
         if isinstance(limit, str):
             limit = fmi_value(ports["voltage_limit"], limit)
-        # of values in SI units, which the controller may have in others
+        # actuators tell SI units, the controller may have others
         factor = {n: unit.factor for n, port in ports.items() if (unit := unit_of(port.variable))}
         told = actuators.parameters(factor.get("voltage_limit", 1.0) * float(limit or math.nan), points)
         entries |= {

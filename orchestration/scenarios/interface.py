@@ -245,9 +245,9 @@ class Interface:
         if not port:
             return False
         varied = data.get("sweep", {}).get("vary", {}).get(port.name)
-        if isinstance(varied, dict) and "values" not in varied:
+        values = varied.get("values") if isinstance(varied, dict) else []
+        if values is None:
             return False
-        values = varied["values"] if isinstance(varied, dict) else []
         values = [data.get("parameters", {}).get(port.name, start_value(port.variable)), *values]
         with suppress(SystemDefinitionError):
             # a wrong value is refused later, with its line

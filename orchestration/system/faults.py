@@ -270,7 +270,7 @@ class Delay(Effect):
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         middles = 0.5 * (times[1:] + times[:-1])
-        # of two samples that are as near, always the earlier one, however the times are rounded
+        # of two samples that are as near but for rounding, the earlier one
         nearest = np.searchsorted(middles, times[inside] - self.delay - resolution_of(times))
         return Pattern.of_one(nearest, np.zeros(inside.shape))
 

@@ -141,9 +141,9 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
     ) -> None:
         self.hold = hold or hold_of(chosen)
         experiment, begin, end = chosen.experiment, self.hold.start, self.hold.end
-        start, stop = experiment.start_time, experiment.stop_time
-        if not start <= begin < end <= stop:
-            expected = f"expected a part of the run, {start:g} to {stop:g} s"
+        first, last = experiment.start_time, experiment.stop_time
+        if not first <= begin < end <= last:
+            expected = f"expected a part of the run, {first:g} to {last:g} s"
             raise OrchestrationError(f"window {begin:g} to {end:g} s: {expected}")
         self._experiment = replace(
             experiment,
