@@ -147,7 +147,7 @@ _EXAMPLE_PANELS = """\
 - (c) The error of the extended controller between -3 and 3. Its first 6 s leave the panel:
   the output starts at 0, 100 below the reference.
 
-The note in (b) compares the last two periods with an independent calculation; the paper has no such table.
+The note in (b) compares the last two periods with an independent calculation.
 """
 
 
