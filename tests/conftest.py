@@ -33,9 +33,9 @@ from tests.shared_builds import (
     session_folder,
 )
 
-# `pytest --hypothesis-profile=thorough -m hypothesis`, as .ci/run, tries twenty times as many examples
+# `pytest --hypothesis-profile=thorough -m hypothesis`, as .ci/run, tries ten times as many examples
 settings.register_profile("quick", deadline=None, max_examples=10)
-settings.register_profile("thorough", deadline=None, max_examples=200)
+settings.register_profile("thorough", deadline=None, max_examples=100)
 settings.load_profile("quick")
 
 _HOME = pytest.StashKey[str]()

@@ -386,7 +386,7 @@ def test_a_point_counts_by_its_density() -> None:
 def test_few_draws_predict_what_the_document_predicts(exact: Any) -> None:
     """The reading has settling times within 2 s, from about 40 draws in place of 326."""
     variant = posterior.VARIANTS[1]
-    effort = posterior.Effort(pilot=1000, draws=1000, enough=20.0)
+    effort = posterior.Effort(pilot=250, draws=500, enough=20.0)
     told = summary.summary(posterior.posterior(exact, variant, effort))
     expected = DOCUMENT["variants"][variant.name]["all"]
     for name, (least, low, _, high, largest) in told["all"].items():

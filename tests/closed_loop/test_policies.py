@@ -155,7 +155,18 @@ def test_a_scenario_file_names_it_relative_to_itself(lead: str, tmp_path: Path) 
 def test_the_command_tunes_it(lead: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     file = lead.rpartition("/")[2]
-    small = ("--free", "kp=1:20", "--evaluations", "4", "--seeds", "1", "--workers", "1")
+    small = (
+        "--free",
+        "kp=1:20",
+        "--evaluations",
+        "2",
+        "--cases",
+        "hold-step",
+        "--seeds",
+        "1",
+        "--workers",
+        "1",
+    )
     assert not run_command(["tune", file, *small])
     written = tomllib.loads(Path("results/Lead.toml").read_text())["parameters"]
     assert 1.0 <= written["controller.kp"]["value"] <= 20.0
