@@ -190,7 +190,7 @@ GUIDE = shared_guide.depth_guide(
         "estimate_gain Gamma: with Q = I and both poles of A_m at 1 rad/s, M^2 puts the poles of the loop of"
         " sigma_hat at -1 and -0.5 +- 0.5j rad/s. A larger gain is faster and less damped. The vehicle and"
         " its lags are in that loop, so the very high Gamma of the L1 law is not possible.",
-        "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy.",
+        "theta_bound and sigma_bound limit the estimates, in N; sigma_bound must exceed the net buoyancy.",
     ),
     limits=(
         "There is no low-pass filter between estimates and control: Gamma trades robustness for speed.",

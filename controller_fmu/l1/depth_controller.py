@@ -100,7 +100,7 @@ class Parameters(depth_interface.DesignParameters, LawParameters):
         1.0, "a_2 of the nonlinear P, in N per m^alpha", min=0.0, max=1e6, source="guess"
     )
     nonlinear_threshold: float = variable(
-        0.1, "delta in m, or its ratio to |r|", min=0.0, max=1e6, source="guess"
+        0.1, "delta in m, or delta / |r|; see threshold", min=0.0, max=1e6, source="guess"
     )
     threshold_floor: float = variable(
         0.01, "Least delta of the nonlinear P", unit="m", min=1e-9, max=1e6, source="guess"
@@ -253,9 +253,9 @@ y            = C x = z
         " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
         "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
         "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The"
-        " loop with RovDepthPlant tolerates a sensor delay of 204 ms with a gain of 100, only 17 ms with"
-        " 1000, but 131 ms with 1e4. Watch sigma_hat and the voltages as well as the depth.",
-        "theta_bound and sigma_bound limit the estimates, in N; sigma_hat must reach the net buoyancy."
+        " sensor delay that the loop with RovDepthPlant tolerates is not monotonic: 204 ms with a gain of 100,"
+        " 17 ms with 1000, 131 ms with 1e4. Watch sigma_hat and the voltages as well as the depth.",
+        "theta_bound and sigma_bound limit the estimates, in N; sigma_bound must exceed the net buoyancy."
         " If an estimate stays on its bound, the bound is too small or the adaptation too fast.",
         "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
         " With nonlinear_p, large_error_gain = small_error_gain avoids a jump at nonlinear_threshold.",
@@ -272,8 +272,8 @@ y            = C x = z
         *LAW_LIMITS,
         "The paper publishes no gains for its vehicle. In the column Source, identified means fitted to the"
         " nominal rows of its Table 1; most other gains are guesses. All were tried on RovDepthPlant alone.",
-        "At the sensor delays stated for adaptation_gain, a depth held at 0.8 m begins to oscillate: its"
-        " standard deviation exceeds 3 mm.",
+        "The sensor delays stated for adaptation_gain are limits: beyond, a depth held at 0.8 m oscillates,"
+        " with a standard deviation above 3 mm.",
         shared_guide.VEHICLE_LIMIT,
     ),
     sources=(

@@ -52,12 +52,12 @@ LAW_LIMITS = (
     "In saturation, the predictor gets the limited control. The states of the filter and the integral of the"
     " PI are held if their change would increase the demand. Noise near the limit holds them, too: keep the"
     " demand and its noise below the limit.",
-    "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
-    " exact for the assumed A_m and given derivatives of the reference; it leaves out the impulse of"
+    "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward"
+    " inverts A_m exactly, given the derivatives of the reference; it leaves out the impulse of"
     " acceleration at a corner. The piecewise-constant law estimates e^(A_s Ts) times the disturbance,"
     " without bounds.",
-    "A communication step should not be longer than internal_step. In a longer step, the predictor gets a new"
-    " control in each internal step, the plant only the last one, and the control varies more. For a"
+    "A communication step should not be longer than internal_step. In a longer step, the predictor gets the"
+    " control of each internal step, the plant only the last one, so the control varies more. For a"
     " Gauss-Seidel master, which sets the inputs of a step's end, set inputs_at_step_end.",
 )
 
@@ -187,7 +187,7 @@ class LawParameters(PlantParameters):
         InputGainRegressor.ADAPTIVE_CONTROL,
         "Control from which omega_hat is estimated",
         variability="fixed",
-        source="published: u_a, which precedes the extension",
+        source="published: u_a; (4) is older than the extension",
     )
     inputs_at_step_end: bool = variable(
         False,

@@ -82,7 +82,7 @@ class Parameters(LawParameters):
         100.0, "a_2 of the nonlinear P", min=0.0, max=1e6, source="published, (9)"
     )
     nonlinear_threshold: float = variable(
-        0.1, "delta, or its ratio to |r|", min=0.0, max=1e6, source="published, (9)"
+        0.1, "delta, or delta / |r|; see threshold", min=0.0, max=1e6, source="published, (9)"
     )
     threshold_floor: float = variable(
         1.0,

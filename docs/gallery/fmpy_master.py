@@ -40,7 +40,7 @@ def exchange(point: int) -> None:
 
 
 # %%
-for _ in range(2):  # the initial voltages follow from the initial measurement
+for _ in range(2):  # the first pass sets the measurement, the second passes on its voltages
     exchange(0)
 for fmu in (plant, controller):
     fmu.exitInitializationMode()

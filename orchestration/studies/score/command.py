@@ -24,7 +24,7 @@ PANEL = "Controllers compared"
 FullOption = Annotated[
     bool,
     typer.Option(
-        "--full", help="Run 300 plants and 24 draws of each case too, with intervals and comparisons."
+        "--full", help="Run 300 plants and most cases 24 times, too, with intervals and comparisons."
     ),
 ]
 SeedOption = Annotated[
