@@ -253,8 +253,8 @@ y            = C x = z
         " (model_damping + rate_feedback_gain) / depth_feedback_gain + 1 / filter_bandwidth seconds.",
         "A larger filter_bandwidth makes the adaptive control faster and noisier, with less delay margin.",
         "A larger adaptation_gain makes the estimates faster and noisier; it needs no shorter step. The"
-        " sensor delay that the loop with RovDepthPlant tolerates is not monotonic: 204 ms with a gain of 100,"
-        " 17 ms with 1000, 131 ms with 1e4. Watch sigma_hat and the voltages as well as the depth.",
+        " sensor delay that the loop with RovDepthPlant tolerates is not monotonic: 204 ms with a gain of"
+        " 100, 17 ms with 1000, 131 ms with 1e4. Watch sigma_hat and the voltages as well as the depth.",
         "theta_bound and sigma_bound limit the estimates, in N; sigma_bound must exceed the net buoyancy."
         " If an estimate stays on its bound, the bound is too small or the adaptation too fast.",
         "augmentation reduces the lag. With pi, raise proportional_gain first, then integral_gain a little."
