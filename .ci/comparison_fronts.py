@@ -92,11 +92,12 @@ class Fronts:
         return ", ".join(f"{count} laws on {vehicle}" for vehicle, count in counts.items() if count)
 
     def behind(self) -> list[str]:
-        """Returns where a seed of a law has less than one of its special case, of which all seeds begin."""
+        """Returns where a seed of a law has less than one of a special case, of which all seeds begin."""
         return [
             f"{law} on {vehicle} is behind {special}"
             for vehicle, laws in self.laws.items()
-            for law, (special, _) in SPECIAL_CASES.items()
+            for law, cases in SPECIAL_CASES.items()
+            for special in (case.law for case in cases)
             if law in laws
             and special in laws
             and min(laws[law]["hypervolumes"]) < max(laws[special]["hypervolumes"])

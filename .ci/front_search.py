@@ -144,8 +144,8 @@ def front_of_law(
     path: Path,
     progress: Callable[[int, float], None] = lambda done, cost: None,
     special: Sequence[Mapping[str, float]] = (),
-) -> tuple[dict[str, Any], list[Mapping[str, float]]]:
-    """Returns the front of a controller of the protocol as plain data, and the gains of all its points.
+) -> dict[str, Any]:
+    """Returns the front of a controller of the protocol as plain data.
 
     Its step is that of the protocol, as of every law. Each point has its delay margin.
 
@@ -185,7 +185,7 @@ def front_of_law(
             point = {"error": error, VARIATION: variation, DELAY_MARGIN: margin_of(loop, gains)}
             change = tune_problem.change_at_half_the_step(gains, controller, protocol)
             points.append({**point, "gains": gains, "change_at_half_the_step": change})
-    law = {
+    return {
         "name": name,
         "title": controller.title,
         "gains": len(problem.gains),
@@ -196,7 +196,6 @@ def front_of_law(
         "is_converged": is_converged(half, errors),
         "points": points,
     }
-    return law, [point.gains for point in front]
 
 
 def margin_of(loop: ClosedLoop, gains: Mapping[str, float], largest: float = DELAYS.largest) -> float:

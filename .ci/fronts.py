@@ -49,7 +49,6 @@ from orchestration.studies.score.protocol import Protocol, on_vehicle, read_prot
 from orchestration.studies.score.protocol_format import DELAY_MARGIN
 
 
-
 class SpecialCase(NamedTuple):
     """A law that another law is, with some gains.
 
@@ -134,8 +133,7 @@ def fronts_of_vehicle(
     special = {case.law for law in laws for case in SPECIAL_CASES.get(law, ())}
     names = [name for name in protocol.controllers if name in {*laws, *special, *of_file}]
     gains = sum(len(free_gains(protocol, name)) for name in names if name not in of_file)
-    points, found = dict[str, list[Mapping[str, float]]](), list[Mapping[str, Any]]()
-    this_revision = revision()
+    found, this_revision = list[Mapping[str, Any]](), revision()
     document = {
         "vehicle": protocol.vehicle.name,
         "settings": dict(protocol.vehicle.settings),
@@ -157,17 +155,18 @@ def fronts_of_vehicle(
         # those that contain others after these
         for name in sorted(names, key=lambda name: name in SPECIAL_CASES):
             if name in of_file:
-                points[name] = [point["gains"] for point in of_file[name]["points"]]
                 found.append(of_file[name])
                 continue
             (tuned_gains, _) = known_gains(protocol, name, free_gains(protocol, name))
             # gains that the special case does not have are its own choice: they change nothing there
             begin = [
-                {**tuned_gains, **case.of_law(point)}
+                {**tuned_gains, **case.of_law(point["gains"])}
                 for case in SPECIAL_CASES.get(name, ())
-                for point in points.get(case.law, ())
+                for law in found
+                if law["name"] == case.law
+                for point in law["points"]
             ]
-            law, points[name] = front_of_law(
+            law = front_of_law(
                 protocol,
                 name,
                 range(1, seeds + 1),
