@@ -4,7 +4,8 @@
 
 searches the laws on three vehicles (`STUDY`) and writes fronts.json and fronts.svg to results/VEHICLE, for
 docs/explanation/comparison.md; --plant NAME is for one vehicle, --help shows the options. The journals stay:
-the same command continues, and --laws adds laws. --known FILE takes laws that are not searched from there.
+the same command continues, and --laws adds laws. --known FILE takes laws that are not searched from
+there, and begins others at their points.
 
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
 so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). That is one budget; the
@@ -114,7 +115,8 @@ def fronts_of_vehicle(
 ) -> dict[str, Any]:
     """Returns the fronts of laws on the vehicle of a protocol as a document, written after each law.
 
-    known: documents of fronts; the laws of this vehicle that are not named are taken from there
+    known: documents of fronts; the laws of this vehicle that are not named are taken from there, and others
+        begin at their points there
     """
     effort = {
         "evaluations_per_gain_bound_and_seed": evaluations,
@@ -129,10 +131,11 @@ def fronts_of_vehicle(
             for name, expected in {"effort": effort, "cost": cost}.items():
                 if given[name] != expected:
                     raise OrchestrationError(f"--known: {name} {given[name]}: expected {expected}")
-            of_file |= {law["name"]: law for law in given["laws"] if law["name"] not in laws}
+            of_file |= {law["name"]: law for law in given["laws"]}
+    kept = of_file.keys() - {*laws}
     special = {case.law for law in laws for case in SPECIAL_CASES.get(law, ())}
-    names = [name for name in protocol.controllers if name in {*laws, *special, *of_file}]
-    gains = sum(len(free_gains(protocol, name)) for name in names if name not in of_file)
+    names = [name for name in protocol.controllers if name in {*laws, *special, *kept}]
+    gains = sum(len(free_gains(protocol, name)) for name in names if name not in kept)
     found, this_revision = list[Mapping[str, Any]](), revision()
     document = {
         "vehicle": protocol.vehicle.name,
@@ -154,15 +157,15 @@ def fronts_of_vehicle(
     with shared.progress("fronts", 2 * LEVELS * seeds * evaluations * gains, kept="evaluations") as bar:
         # those that contain others after these
         for name in sorted(names, key=lambda name: name in SPECIAL_CASES):
-            if name in of_file:
+            if name in kept:
                 found.append(of_file[name])
                 continue
             (tuned_gains, _) = known_gains(protocol, name, free_gains(protocol, name))
             # gains that the special case does not have are its own choice: they change nothing there
             begin = [
                 {**tuned_gains, **case.of_law(point["gains"])}
-                for case in SPECIAL_CASES.get(name, ())
-                for law in found
+                for case in (SpecialCase(name, {}), *SPECIAL_CASES.get(name, ()))
+                for law in {**of_file, **{one["name"]: one for one in found}}.values()
                 if law["name"] == case.law
                 for point in law["points"]
             ]
@@ -176,7 +179,7 @@ def fronts_of_vehicle(
                 lambda done, _: bar.advance(done),
                 begin,
             )
-            found.append({**law, "revision": this_revision})
+            found.append({**law, "revision": this_revision, "again": name in of_file})
             write()
     # its model has the numbers of the paper's vehicle
     if protocol.vehicle.is_of_base:
@@ -203,7 +206,7 @@ def main(
     out: shared.OutFolder = Path("results"),
     known: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Take laws that are not searched from this fronts.json."),
+        typer.Option(metavar="FILE", help="Take laws from this fronts.json, or begin at their points."),
     ] = None,
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,

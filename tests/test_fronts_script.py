@@ -23,6 +23,7 @@ from orchestration.studies.score.tune_problem import LARGEST, problem_of
 from orchestration.studies.vehicle import Vehicle
 
 sys.path.insert(0, str(Path(__file__).parent.parent / ".ci"))
+import fronts  # pyright: ignore[reportMissingImports]
 from comparison_fronts import DATA  # pyright: ignore[reportMissingImports]
 from front_points import (  # pyright: ignore[reportMissingImports]
     Point,
@@ -245,14 +246,32 @@ def test_a_special_case_has_the_run_of_the_law_that_contains_it(
 
 
 def test_laws_that_are_not_searched_come_from_a_file_of_the_same_effort(
-    protocol: Protocol, tmp_path: Path
+    protocol: Protocol, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A law begins at the points of its special cases there."""
+    """A law begins at its own points there, and at those of its special cases."""
     known_fronts = json.loads(DATA.read_text(encoding="utf-8"))
     of_vehicle = next(d for d in known_fronts if d["vehicle"] == protocol.vehicle.name)
     count = of_vehicle["effort"]["evaluations_per_gain_bound_and_seed"]
     with pytest.raises(OrchestrationError, match=rf"--known: effort .*: {count},.*: expected .*: 1,"):
         fronts_of_vehicle(protocol, ["l1-pi"], 5, 1, 1, tmp_path, known_fronts)
+    begun = list[Any]()
+
+    def searched(protocol: Protocol, name: str, *options: Any) -> dict[str, Any]:
+        begun.extend(options[-1])
+        return {"name": name, "points": []}
+
+    monkeypatch.setattr(fronts, "front_of_law", searched)
+    monkeypatch.setattr(fronts, "tutorial_mpc", lambda *_: {})
+    laws = {law["name"]: law for law in of_vehicle["laws"]}
+    found = fronts_of_vehicle(protocol, ["l1-pi"], 5, count, 1, tmp_path, known_fronts)["laws"]
+    assert [law["name"] for law in found] == [*laws]
+    assert [law for law in found if law["name"] != "l1-pi"] == [laws["l1"], laws["pid"]]
+    gains = {name: [point["gains"] for point in law["points"]] for name, law in laws.items()}
+    own, of_l1, of_pid = (len(gains[name]) for name in ("l1-pi", "l1", "pid"))
+    assert len(begun) == own + of_l1 + of_pid
+    assert begun[:own] == gains["l1-pi"]
+    assert [start["proportional_gain"] for start in begun[own : own + of_l1]] == [0.0] * of_l1
+    assert [start["proportional_gain"] for start in begun[-of_pid:]] == [g["kp"] for g in gains["pid"]]
 
 
 def test_tuned_gains_are_carried_to_another_vehicle_by_its_inertia(protocol: Protocol) -> None:
