@@ -77,13 +77,20 @@ class Fronts:
             }
         )
 
-    def options(self, document: Mapping[str, Any]) -> str:
-        """Returns the options of the command that has made a document."""
+    def options(self, document: Mapping[str, Any]) -> list[str]:
+        """Returns the options of the commands that have made a document."""
         effort, names = document["effort"], [law["name"] for law in document["laws"]]
         laws = "" if names == [*read_protocol().controllers] else f" --laws {','.join(names)}"
         evaluations = effort["evaluations_per_gain_bound_and_seed"]
-        own = f"--plant {document['vehicle']} --seeds {len(effort['seeds'])} --evaluations {evaluations}"
-        return own + laws
+        vehicle = document["vehicle"]
+        own = f"--plant {vehicle} --seeds {len(effort['seeds'])} --evaluations {evaluations}"
+        again = ",".join(law["name"] for law in document["laws"] if law.get("again"))
+        known = f" --laws {again} --known results/{vehicle}/fronts.json --out {self.folder(document)}"
+        return [own + laws, *([own + known] if again else [])]
+
+    def folder(self, document: Mapping[str, Any]) -> str:
+        """Returns the folder that the last of these commands writes the vehicle's folder to."""
+        return "results/again" if any(law.get("again") for law in document["laws"]) else "results"
 
     def missing(self) -> str:
         """Returns in words which fronts are not there."""
@@ -92,11 +99,12 @@ class Fronts:
         return ", ".join(f"{count} laws on {vehicle}" for vehicle, count in counts.items() if count)
 
     def behind(self) -> list[str]:
-        """Returns where a seed of a law has less than one of its special case, of which all seeds begin."""
+        """Returns where a seed of a law has less than one of a special case, of which all seeds begin."""
         return [
             f"{law} on {vehicle} is behind {special}"
             for vehicle, laws in self.laws.items()
-            for law, (special, _) in SPECIAL_CASES.items()
+            for law, cases in SPECIAL_CASES.items()
+            for special in (case.law for case in cases)
             if law in laws
             and special in laws
             and min(laws[law]["hypervolumes"]) < max(laws[special]["hypervolumes"])

@@ -83,23 +83,18 @@ def search_fronts(
     evaluate: Evaluate,
     progress: Callable[[int, float], None] = lambda done, cost: None,
     begin: Sequence[Mapping[str, float]] = (),
-    special: Sequence[Row] = (),
 ) -> list[tuple[list[Row], list[Row]]]:
     """Returns of each seed its evaluations at half of the budget and at all of it.
 
     Interrupted or not, they are the same.
 
     largest: total variation [N] that is admitted; path: of the journal, which holds what is done
-    begin: gains, at the best of which all seeds begin; by default anywhere
-    special: evaluations of the law's special case, with the gains that make the law that case
+    begin: gains, at the best of which all seeds begin, also outside the ranges; by default anywhere
     """
     bounds = [largest * 0.5**level for level in range(LEVELS)]
     evaluations = evaluations_per_gain * len(problem.gains)
-    rows = {seed: [*special] for seed in seeds}
-    half = list[list[Row]]()
-    gains_of_special = [row["gains"] for row in special]
-    about = {VARIATION: bounds, "begin": [*begin], "special": gains_of_special}
-    problem = replace(problem, tuned={**problem.tuned, **about})
+    rows, half = {seed: list[Row]() for seed in seeds}, list[list[Row]]()
+    problem = replace(problem, tuned={**problem.tuned, VARIATION: bounds, "begin": [*begin]})
 
     def started(row: Row) -> dict[str, float]:
         return {gain.name: gain.limited(row["gains"][gain.name]) for gain in problem.gains}
@@ -108,7 +103,7 @@ def search_fronts(
         if begin:
             first = _Begin(problem, begin)
             run_searches([first])
-            rows = {seed: [*known, *first.rows] for seed, known in rows.items()}
+            rows = {seed: [*first.rows] for seed in seeds}
         for level, bound in enumerate([*bounds, *reversed(bounds)]):
             cost, searches = partial(bounded_cost, bound=bound), list[SeedSearch]()
             if level == LEVELS:
@@ -148,11 +143,13 @@ def front_of_law(
     workers: int,
     path: Path,
     progress: Callable[[int, float], None] = lambda done, cost: None,
-    special: Sequence[Row] = (),
-) -> tuple[dict[str, Any], list[Row]]:
-    """Returns the front of a controller of the protocol as plain data, and the evaluations on it.
+    special: Sequence[Mapping[str, float]] = (),
+) -> dict[str, Any]:
+    """Returns the front of a controller of the protocol as plain data.
 
     Its step is that of the protocol, as of every law. Each point has its delay margin.
+
+    special: gains that make the law one of its special cases; the searches begin at these, too
     """
     largest = protocol.tables.cost.bounds.get(VARIATION, math.inf)
     if not math.isfinite(largest):
@@ -163,7 +160,8 @@ def front_of_law(
     problem = tune_problem.problem_of(controller, protocol, free_gains(protocol, name))
     total = 2 * LEVELS * len(seeds) * evaluations_per_gain * len(problem.gains)
     with tune_problem.evaluations(controller, protocol, workers, total) as evaluate:
-        how = largest, path, evaluate, progress, known_gains(protocol, name, problem.gains), special
+        begin = [*known_gains(protocol, name, problem.gains), *special]
+        how = largest, path, evaluate, progress, begin
         budgets = search_fronts(problem, seeds, evaluations_per_gain, *how)
     reference, bounds = Point(LARGEST_ERROR, largest), [largest * 0.5**level for level in range(LEVELS)]
     bound = protocol.tables.cost.bounds.get(DELAY_MARGIN, 0.0)
@@ -187,8 +185,7 @@ def front_of_law(
             point = {"error": error, VARIATION: variation, DELAY_MARGIN: margin_of(loop, gains)}
             change = tune_problem.change_at_half_the_step(gains, controller, protocol)
             points.append({**point, "gains": gains, "change_at_half_the_step": change})
-    on_front = {repr(point.gains) for point in front}
-    law = {
+    return {
         "name": name,
         "title": controller.title,
         "gains": len(problem.gains),
@@ -199,8 +196,6 @@ def front_of_law(
         "is_converged": is_converged(half, errors),
         "points": points,
     }
-    rows = {repr(row["gains"]): row for _, found in budgets for row in found}
-    return law, [row for key, row in rows.items() if key in on_front]
 
 
 def margin_of(loop: ClosedLoop, gains: Mapping[str, float], largest: float = DELAYS.largest) -> float:

@@ -4,13 +4,14 @@
 
 searches the laws on three vehicles (`STUDY`) and writes fronts.json and fronts.svg to results/VEHICLE, for
 docs/explanation/comparison.md; --plant NAME is for one vehicle, --help shows the options. The journals stay:
-the same command continues, and --laws adds laws.
+the same command continues, and --laws adds laws. --known FILE takes laws that are not searched from
+there, and begins others at their points.
 
 Each seed searches the least error under a bound on the total variation, then under half of that bound, and
 so on: the epsilon constraint (Haimes, Lasdon and Wismer, IEEE Trans. SMC 1(3), 1971). That is one budget; the
 second one is as large and goes the same way back, so that a front after both has twice the evaluations. Each
 search begins at the best gains that the seed has evaluated until then: at first the tuned ones, the start
-values or those of the law's special case (`SPECIAL_CASES`). All laws have one step. A front is of the
+values or those of the law's special cases (`SPECIAL_CASES`). All laws have one step. A front is of the
 evaluations that keep every bound and do not fail; those without the delay margin are taken out first.
 """
 
@@ -22,16 +23,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
-from front_points import VARIATION, Row, front_figure, variation_of
+from front_points import VARIATION, front_figure, variation_of
 from front_search import LARGEST_ERROR, LEVELS, free_gains, front_of_law, known_gains, margin_of
 
 from fmus.files import write_text_atomically
 from orchestration.cli import shared
 from orchestration.cli.changes import NO_CHANGES, OF_LOOP, PLANT, Changes, takes_changes
 from orchestration.cli.commands import run_application
+from orchestration.errors import OrchestrationError
 from orchestration.studies.score import tune_problem
 from orchestration.studies.score.closed_loop import ClosedLoop, Controller, built_in
 from orchestration.studies.score.command import (
@@ -47,13 +49,33 @@ from orchestration.studies.score.command import (
 from orchestration.studies.score.protocol import Protocol, on_vehicle, read_protocol, with_cost
 from orchestration.studies.score.protocol_format import DELAY_MARGIN
 
-SPECIAL_CASES: Mapping[str, tuple[str, Mapping[str, float]]] = {
-    "l1-pi": ("l1", {"proportional_gain": 0.0, "integral_gain": 0.0}),
-    "l1-nonlinear-p": ("l1", {"large_error_gain": 0.0, "small_error_gain": 0.0}),
-    "l1-pi-outside": ("l1-outside", {"proportional_gain": 0.0, "integral_gain": 0.0}),
-    "pid-rates": ("pid", {"beta": 0.0}),
+
+class SpecialCase(NamedTuple):
+    """A law that another law is, with some gains.
+
+    names: gains of the special case that the other law calls otherwise
+    """
+
+    law: str
+    gains: Mapping[str, float]
+    names: Mapping[str, str] = {}
+
+    def of_law(self, gains: Mapping[str, float]) -> dict[str, float]:
+        """Returns gains of the special case as those of the law that contains it."""
+        return {**{self.names.get(name, name): value for name, value in gains.items()}, **self.gains}
+
+
+_NO_PI = {"proportional_gain": 0.0, "integral_gain": 0.0}
+# without adaptation the state feedback of the rate and the PI are a PID; the depth's has to be above 0
+_NO_L1 = {"depth_feedback_gain": 1e-6, "adaptation_gain": 0.0, "sigma_bound": 0.0, "theta_bound[1]": 0.0}
+_OF_PID = {"kp": "proportional_gain", "ki": "integral_gain", "kd": "rate_feedback_gain"}
+SPECIAL_CASES: Mapping[str, Sequence[SpecialCase]] = {
+    "l1-pi": [SpecialCase("l1", _NO_PI), SpecialCase("pid", _NO_L1, _OF_PID)],
+    "l1-nonlinear-p": [SpecialCase("l1", {"large_error_gain": 0.0, "small_error_gain": 0.0})],
+    "l1-pi-outside": [SpecialCase("l1-outside", _NO_PI)],
+    "pid-rates": [SpecialCase("pid", {"beta": 0.0})],
 }
-"""Law -> the law that it is with some of its gains."""
+"""Law -> the laws that it is with some of its gains."""
 STUDY: Mapping[str, tuple[Mapping[str, float], list[str]]] = {
     "RovDepthPlant": ({}, []),
     "RovHeavePitchPlant": (
@@ -83,26 +105,45 @@ def tutorial_mpc(protocol: Protocol, folder: Path) -> dict[str, Any]:
 
 
 def fronts_of_vehicle(
-    protocol: Protocol, laws: Sequence[str], seeds: int, evaluations: int, workers: int, out: Path
+    protocol: Protocol,
+    laws: Sequence[str],
+    seeds: int,
+    evaluations: int,
+    workers: int,
+    out: Path,
+    known: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Returns the fronts of laws on the vehicle of a protocol as a document, written after each law."""
-    names = [name for name in protocol.controllers if name in {*laws, *(_special(law) for law in laws)}]
-    gains = sum(len(free_gains(protocol, name)) for name in names)
-    rows, found = dict[str, list[Row]](), list[dict[str, Any]]()
+    """Returns the fronts of laws on the vehicle of a protocol as a document, written after each law.
+
+    known: documents of fronts; the laws of this vehicle that are not named are taken from there, and others
+        begin at their points there
+    """
+    effort = {
+        "evaluations_per_gain_bound_and_seed": evaluations,
+        "budgets": 2,
+        "bounds": LEVELS,
+        "seeds": [*range(1, seeds + 1)],
+        "step": tune_problem.step_of(built_in(protocol, laws[0]), protocol),
+    }
+    cost, of_file = protocol.tables.cost.model_dump(), dict[str, Mapping[str, Any]]()
+    for given in known:
+        if given["vehicle"] == protocol.vehicle.name:
+            for name, expected in {"effort": effort, "cost": cost}.items():
+                if given[name] != expected:
+                    raise OrchestrationError(f"--known: {name} {given[name]}: expected {expected}")
+            of_file |= {law["name"]: law for law in given["laws"]}
+    kept = of_file.keys() - {*laws}
+    special = {case.law for law in laws for case in SPECIAL_CASES.get(law, ())}
+    names = [name for name in protocol.controllers if name in {*laws, *special, *kept}]
+    gains = sum(len(free_gains(protocol, name)) for name in names if name not in kept)
+    found, this_revision = list[Mapping[str, Any]](), revision()
     document = {
         "vehicle": protocol.vehicle.name,
         "settings": dict(protocol.vehicle.settings),
-        "revision": revision(),
         "protocol": protocol.version,
         "statement": protocol.statement,
-        "cost": protocol.tables.cost.model_dump(),
-        "effort": {
-            "evaluations_per_gain_bound_and_seed": evaluations,
-            "budgets": 2,
-            "bounds": LEVELS,
-            "seeds": [*range(1, seeds + 1)],
-            "step": tune_problem.step_of(built_in(protocol, names[0]), protocol),
-        },
+        "cost": cost,
+        "effort": effort,
         "units": {"error": "cm", VARIATION: "N", DELAY_MARGIN: "s", "step": "s"},
         "hypervolume": f"in decades of both, from {LARGEST_ERROR:g} cm and the bound on the variation",
         "without_front": list[dict[str, Any]](),
@@ -110,18 +151,25 @@ def fronts_of_vehicle(
     }
 
     def write() -> None:
+        found.sort(key=lambda law: [*protocol.controllers].index(law["name"]))
         write_text_atomically(out / "fronts.json", f"{json.dumps(document, indent=1)}\n")
 
     with shared.progress("fronts", 2 * LEVELS * seeds * evaluations * gains, kept="evaluations") as bar:
-        for name in names:
-            of_special, changed = SPECIAL_CASES.get(name, ("", {}))
+        # those that contain others after these
+        for name in sorted(names, key=lambda name: name in SPECIAL_CASES):
+            if name in kept:
+                found.append(of_file[name])
+                continue
             (tuned_gains, _) = known_gains(protocol, name, free_gains(protocol, name))
             # gains that the special case does not have are its own choice: they change nothing there
-            special = [
-                {**row, "gains": {**tuned_gains, **row["gains"], **changed}}
-                for row in rows.get(of_special, ())
+            begin = [
+                {**tuned_gains, **case.of_law(point["gains"])}
+                for case in (SpecialCase(name, {}), *SPECIAL_CASES.get(name, ()))
+                for law in {**of_file, **{one["name"]: one for one in found}}.values()
+                if law["name"] == case.law
+                for point in law["points"]
             ]
-            law, rows[name] = front_of_law(
+            law = front_of_law(
                 protocol,
                 name,
                 range(1, seeds + 1),
@@ -129,19 +177,15 @@ def fronts_of_vehicle(
                 workers,
                 out / f"{name}.front.jsonl",
                 lambda done, _: bar.advance(done),
-                special,
+                begin,
             )
-            found.append(law)
+            found.append({**law, "revision": this_revision, "again": name in of_file})
             write()
     # its model has the numbers of the paper's vehicle
     if protocol.vehicle.is_of_base:
         document["without_front"].append(tutorial_mpc(protocol, out))
         write()
     return document
-
-
-def _special(law: str) -> str:
-    return SPECIAL_CASES.get(law, ("", {}))[0]
 
 
 @takes_changes(**OF_LOOP)
@@ -160,6 +204,10 @@ def main(
     ] = 100,
     workers: WorkersOption = PROCESSORS,
     out: shared.OutFolder = Path("results"),
+    known: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Take laws from this fronts.json, or begin at their points."),
+    ] = None,
     changes: Changes = NO_CHANGES,
     protocol_file: ProtocolOption = None,
 ) -> None:
@@ -181,7 +229,9 @@ def main(
         names = [built_in(protocol, n).name for n in tune_problem.listed(laws) or protocol.controllers]
         folder = out / vehicle
         folder.mkdir(parents=True, exist_ok=True)
-        document = fronts_of_vehicle(protocol, names, seeds, evaluations, workers, folder)
+        documents = json.loads(known.read_text(encoding="utf-8")) if known else []
+        documents = [documents] if isinstance(documents, dict) else documents
+        document = fronts_of_vehicle(protocol, names, seeds, evaluations, workers, folder, documents)
         figures = front_figure({vehicle: document["laws"]}, folder / "fronts")
         for law in document["laws"]:
             word = "converged" if law["is_converged"] else "not converged"
