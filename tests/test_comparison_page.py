@@ -192,6 +192,24 @@ def test_fronts_are_compared_where_they_are_converged_and_all_pairs_count() -> N
     assert made_up_fronts([2.0, 2.0], [1.0, 1.0]).verdict("a", "b") == "open on v"
 
 
+@pytest.mark.parametrize(("error", "word"), [(0.94, "better"), (0.96, "equal")])
+def test_a_law_is_better_than_its_special_case_where_an_error_is_lower(error: float, word: str) -> None:
+    """Its seeds begin there: a test of their hypervolumes would find any gain."""
+    laws = [
+        {
+            "name": name,
+            "title": name,
+            "hypervolumes": [2.0, v],
+            "is_converged": True,
+            "least_errors": [errors],
+        }
+        for name, v, errors in (("l1-pi", 2.1, [1.0, error]), ("pid", 1.9, [1.0, 1.0]))
+    ]
+    found = comparison_fronts.Fronts([{"vehicle": "v", "laws": laws}], {})
+    assert found.verdict("l1-pi", "pid") == f"{word} on v"
+    assert found.verdict("pid", "l1-pi") == f"{word.replace('better', 'worse')} on v"
+
+
 def test_the_indices_are_of_the_laws_of_the_protocol(fronts: Any) -> None:
     for found in fronts.sensitivity.values():
         assert [*found["ranks"]] == [*read_protocol().controllers]
