@@ -188,6 +188,19 @@ def fronts_of_vehicle(
     return document
 
 
+def known_fronts(path: Path) -> list[dict[str, Any]]:
+    """Returns the documents of a fronts.json, of this script or of the page."""
+    try:
+        read = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise OrchestrationError(f"--known {path}: {error}: expected a fronts.json") from None
+    documents = read if isinstance(read, list) else [read]
+    needed = {"vehicle", "cost", "effort", "laws"}
+    if not all(isinstance(document, dict) and needed <= document.keys() for document in documents):
+        raise OrchestrationError(f"--known {path}: expected a fronts.json, with {', '.join(sorted(needed))}")
+    return documents
+
+
 @takes_changes(**OF_LOOP)
 def main(
     laws: Annotated[str, typer.Option(metavar="NAME,...", help="Search the fronts of these laws only.")] = "",
@@ -229,8 +242,7 @@ def main(
         names = [built_in(protocol, n).name for n in tune_problem.listed(laws) or protocol.controllers]
         folder = out / vehicle
         folder.mkdir(parents=True, exist_ok=True)
-        documents = json.loads(known.read_text(encoding="utf-8")) if known else []
-        documents = [documents] if isinstance(documents, dict) else documents
+        documents = known_fronts(known) if known else []
         document = fronts_of_vehicle(protocol, names, seeds, evaluations, workers, folder, documents)
         figures = front_figure({vehicle: document["laws"]}, folder / "fronts")
         for law in document["laws"]:

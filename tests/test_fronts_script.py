@@ -335,6 +335,13 @@ def protocol(scenario_fmus: None) -> Protocol:
     return read_protocol()
 
 
+@pytest.mark.parametrize("content", ['{"a": 1}', "[1]", "{"])
+def test_a_file_that_holds_no_fronts_is_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / "other.json").write_text(content)
+    with pytest.raises(OrchestrationError, match=r"--known .*other\.json: .*expected a fronts\.json"):
+        fronts.known_fronts(tmp_path / "other.json")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
