@@ -162,13 +162,13 @@ def test_the_sources_compile_without_a_warning(block: str, fmi: int, target: str
 @pytest.mark.parametrize(("block", "fmi"), SOURCES)
 def test_our_own_sources_need_no_warning_switched_off(block: str, fmi: int, tmp_path: Path) -> None:
     """What is generated becomes a system header, of which no warning is given."""
-    write_sources(sources := tmp_path, block, fmi)
-    (sources / "generated").mkdir()
-    (sources / "model_code.h").rename(sources / "generated" / "model_code.h")
+    write_sources(tmp_path, block, fmi)
+    (tmp_path / "generated").mkdir()
+    (tmp_path / "model_code.h").rename(tmp_path / "generated" / "model_code.h")
     warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror")
     toolchain.zig(
         ["cc", "-std=c99", *warnings, "-isystem", "generated", *HEADERS, "-c", f"fmi{fmi}.c", "-o", "it.o"],
-        sources,
+        tmp_path,
     )
 
 
