@@ -16,6 +16,7 @@ MOST_VARIABLES = 50  # that are changed in a rule
 _MOST_LEAPT, LEAPS, _ROUGHNESS = 100, 8, 300.0  # steps, and times their tolerances
 _FEWEST_STEPS, _MEASURED_STEPS, _MOST_STEPS = 10, 40, 5_000  # of a run over the default experiment
 _LONGEST_RUN_S = 0.2  # of CPU time
+_ALWAYS_STEPS, _ALWAYS_S = 100, 1.0  # so many are taken where they need less CPU time than this
 P = ParamSpec("P")
 Pair = tuple[Variable, Any]
 
@@ -352,8 +353,7 @@ def played(probe: Probe, actions: Iterable[Action], **options: Any) -> Script:
 
 def over_the_experiment(probe: Probe) -> Script:
     """Returns a run with the stop time of the default experiment, if it has one, all variables read a few
-    times and numbers among the outputs after each step; up to that time, or as far as steps take about a
-    second of CPU time.
+    times and numbers among the outputs after each step.
     """
     stop = probe.stop_time if math.isfinite(probe.stop_time) else None
     groups = itertools.groupby(comparable_outputs(probe), lambda v: v.base_kind)
@@ -370,7 +370,9 @@ def over_the_experiment(probe: Probe) -> Script:
 
 def steps_of_experiment(probe: Probe) -> int:
     """Returns the number of usual steps up to the stop time of the default experiment, or of those that take
-    about a second of CPU time; measured once for all rules. Raises NotApplicableError where they are few.
+    a fifth of a second of CPU time, a twentieth for model exchange; a hundred that take less than a second.
+
+    It is measured once for all rules. Raises NotApplicableError where steps are few.
     """
 
     def measured() -> int:
@@ -385,6 +387,9 @@ def steps_of_experiment(probe: Probe) -> int:
         part = 4 if probe.fmu.is_model_exchange else 1
         budget = min(_LONGEST_RUN_S / part, probe.process.limit / 10)
         count = int(budget * first / script.cpu_time)
+        if _ALWAYS_STEPS * script.cpu_time < _ALWAYS_S * first:
+            # what is found in a short experiment does not depend on how fast the processor was
+            count = max(count, _ALWAYS_STEPS)
         return min(steps, _MOST_STEPS // part, max(first, count))
 
     return probe.once("run of many steps", measured)
