@@ -64,7 +64,7 @@ class ActuatorParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: it stands for the pulse; 12 V (down) is 1100 us, -12 V (up) 1900 us",
+        source="chosen: it stands for a speed controller's pulse; 12 V (down) is 1100 us, -12 V (up) 1900 us",
     )
     thruster_table_force: Table = variable(
         tuple(0.0 - kgf * 9.80665 for _, kgf in _T200_AT_16_V),

@@ -22,8 +22,8 @@ class DepthMatrices(LawMatrices):
     )
     predictor_input: Vector = variable((0.0, 1.0), "B_m, input column", unit=("s/kg", "1/kg"))
     feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)", unit="N/m")
-    feedforward_rate_gain: float = variable(1.0, "Gain of r' in f, D + k_m2", unit="N.s/m")
-    feedforward_acceleration_gain: float = variable(1.0, "Gain of r'' in f, M", unit="kg")
+    feedforward_rate_gain: float = variable(1.0, "Gain of r' in f, D_z + k_m2", unit="N.s/m")
+    feedforward_acceleration_gain: float = variable(1.0, "Gain of r'' in f, M_z", unit="kg")
 
 
 def depth_matrices(k_m: Vector, q: Vector, p: DesignParameters) -> DepthMatrices:

@@ -139,7 +139,7 @@ class ThrusterParameters:
         unit="V",
         min=-1e6,
         max=1e6,
-        source="chosen: it stands for the pulse; 12 V (down) is 1100 us, -12 V (up) 1900 us",
+        source="chosen: it stands for a speed controller's pulse; 12 V (down) is 1100 us, -12 V (up) 1900 us",
     )
     thruster_table_force: Table = variable(
         T200_FORCE,

@@ -271,7 +271,7 @@ y            = C x = z
     limits=(
         *LAW_LIMITS,
         "The paper publishes no gains for its vehicle. In the column Source, identified means fitted to the"
-        " nominal rows of its Table 1; most other gains are guesses. All were tried on RovDepthPlant alone.",
+        " nominal rows of its Table 1; most other gains are guesses. All were chosen on RovDepthPlant.",
         "The sensor delays stated for adaptation_gain are limits: beyond, a depth held at 0.8 m oscillates,"
         " with a standard deviation above 3 mm.",
         shared_guide.VEHICLE_LIMIT,

@@ -48,7 +48,7 @@ LAW_LIMITS = (
     " the loop with the extension.",
     "With input_gain_uncertainty above 0, omega_hat multiplies u_a + u_p + u_f but is estimated from"
     " u_a + u_f, which the proof does not cover. Set input_gain_regressor to adaptive_control_and_extension"
-    " to estimate it from all three: the proof then covers it, but tracking is not better.",
+    " to estimate it from all three: the proof then covers omega_hat, not the loop; tracking is not better.",
     "In saturation, the predictor gets the limited control. The states of the filter and the integral of the"
     " PI are held if their change would increase the demand. Noise near the limit holds them, too: keep the"
     " demand and its noise below the limit.",
@@ -187,7 +187,7 @@ class LawParameters(PlantParameters):
         InputGainRegressor.ADAPTIVE_CONTROL,
         "Control from which omega_hat is estimated",
         variability="fixed",
-        source="published: u_a; (4) is older than the extension",
+        source="published: u_a, as in (4), which has no extension",
     )
     inputs_at_step_end: bool = variable(
         False,

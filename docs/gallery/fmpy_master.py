@@ -40,7 +40,7 @@ def exchange(point: int) -> None:
 
 
 # %%
-for _ in range(2):  # the first pass sets the measurement, the second passes on its voltages
+for _ in range(2):  # the first pass sets the measurement, the second the voltages
     exchange(0)
 for fmu in (plant, controller):
     fmu.exitInitializationMode()

@@ -388,7 +388,7 @@ def steps_of_experiment(probe: Probe) -> int:
         budget = min(_LONGEST_RUN_S / part, probe.process.limit / 10)
         count = int(budget * first / script.cpu_time)
         if _ALWAYS_STEPS * script.cpu_time < _ALWAYS_S * first:
-            # what is found in a short experiment does not depend on how fast the processor was
+            # so a short experiment has the same findings on any processor
             count = max(count, _ALWAYS_STEPS)
         return min(steps, _MOST_STEPS // part, max(first, count))
 
