@@ -186,7 +186,7 @@ def test_the_wheel_builds_runs_and_reproduces_where_nothing_can_be_written(
     command = [*prefix, bin_folder / "l1-depth"]
     run([*command, "reproduce", "--out", "results"], cwd, **variables)
     run([*command, "run", "nominal-l1", "--out", "again"], cwd, **variables)
-    run([*command, "build", "--out", "fmus-built"], cwd, **variables)
+    run([*command, "build", "ExamplePlant", "--out", "fmus-built"], cwd, **variables)
     assert installed_files(bin_folder.parent) == before
     assert {path.name for path in cwd.iterdir()} == {"results", "again", "fmus-built"}
     where = run([bin_folder / "python", "-c", "import orchestration; print(orchestration.__file__)"], cwd)

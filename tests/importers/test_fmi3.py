@@ -14,7 +14,7 @@ from tests.importers.comparison import run_isolated
 from tests.importers.fmi3_loops import STEP, Link, Loop, run_in_container, run_in_ecos
 from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 from tests.isolated import answer_of
-from tests.shared_builds import Fmus
+from tests.shared_builds import Fmus, LazyFmus, session_folder
 
 pytestmark = pytest.mark.importers
 
@@ -35,17 +35,22 @@ ARRAY = ((f"{ALLOCATION}.voltage", f"{PLANT}.voltage"),)
 ROUNDING_OF_TIME = 1e-11
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def fmi3(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("fmi 3")
-    return {name: builder.build_block(builder.load_block(name), folder, fmi=3) for name in NAMES}
+    return _built(session_folder(tmp_path_factory, "fmi 3"))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("scalars")
-    blocks = {name: builder.load_block(name) for name in builder.block_names()}
-    return {name: builder.build_block(block, folder, fmi=3, scalars=True) for name, block in blocks.items()}
+    return _built(session_folder(tmp_path_factory, "scalars"), scalars=True)
+
+
+def _built(folder: Path, **options: bool) -> dict[str, Path]:
+    """FMUs of FMI 3.0 by block."""
+    blocks = {name: builder.load_block(name) for name in NAMES}
+    return dict(
+        LazyFmus(NAMES, folder, lambda name, at: builder.build_block(blocks[name], at, fmi=3, **options))
+    )
 
 
 EXPERIMENT = Experiment(stop_time=STEPS * STEP, step_size=STEP, record=(OUTPUT,), open_inputs="start")
@@ -84,13 +89,12 @@ def test_ecos_mixes_both_standards(built: Fmus, fmi3: dict[str, Path], ours: np.
 
 
 def test_ecos_connects_scalars_of_fmi_3(of_scalars: dict[str, Path], ours: np.ndarray) -> None:
-    """Every block is a component; four of them are connected."""
     values = answer(run_in_ecos, loop(of_scalars, *ELEMENTS))
     np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
 
 
 def test_fmucontainer_connects_scalars_of_fmi_3(of_scalars: dict[str, Path], ours: np.ndarray) -> None:
-    values = answer(run_in_container, loop({name: of_scalars[name] for name in NAMES}, *ELEMENTS), 3)
+    values = answer(run_in_container, loop(of_scalars, *ELEMENTS), 3)
     np.testing.assert_allclose(values, ours, rtol=0.0, atol=ROUNDING_OF_TIME)
 
 
@@ -104,7 +108,7 @@ def test_packages_of_scalars_of_fmi_3_run_where_the_importer_knows_fmi_3(
     importer: str, of_scalars: dict[str, Path], ours: np.ndarray, tmp_path: Path
 ) -> None:
     """Ecos and fmucontainer; FMPy's master for packages, and libcosim, load FMUs of FMI 2.0 alone."""
-    system = System({name: of_scalars[name] for name in NAMES}, [*DEPTHS, *ELEMENTS])
+    system = System(of_scalars, [*DEPTHS, *ELEMENTS])
     mine = Scenario("mine", "", system, EXPERIMENT, {})
     package = ssp_write.package(mine, tmp_path / "mine.ssp", lambda *_: tmp_path)
     result = run_isolated(importer, ImporterJob(package, ((PLANT, "depth"),), 0.0, STEPS * STEP, STEP))

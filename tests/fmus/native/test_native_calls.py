@@ -53,7 +53,7 @@ def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_
 )
 def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name: str, fmi: int) -> None:
     block = block_named(name)
-    run(block, compiled(c_sources_of(block, GUID, fmi=fmi), tmp_path, fmi=fmi), 120, fmi=fmi)
+    run(block, compiled(c_sources_of(block, GUID, fmi=fmi), tmp_path, fmi=fmi), 50, fmi=fmi)
 
 
 MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_text(encoding="utf-8"))

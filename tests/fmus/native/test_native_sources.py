@@ -21,7 +21,7 @@ from fmus.native import toolchain
 from tests.described_fmus import members
 from tests.shared_builds import KINDS, Fmus, c_sources_of
 
-REBUILT = ("L1DepthController", "ExamplePlant")
+REBUILT = ("DepthReference", "ExamplePlant")  # with inputs of every type, and with states
 # block and version of FMI: the layer of FMI 3.0 is around the same code of a block
 SOURCES = [*((kind, 2) for kind in KINDS), ("ExamplePlant", 3)]
 OTHER_TARGETS = ["x86_64-windows-gnu", "aarch64-macos"]
@@ -96,8 +96,8 @@ def test_what_fmpy_compiles_from_the_sources_does_the_same(
     libraries = [m for m in members(rebuilt[name]) if m.startswith("binaries/") and not m.endswith("/")]
     assert libraries == [platforms.library_name(name, platforms.host_platform())]
     expected, recompiled = (_trace(fmu) for fmu in (built[name], rebuilt[name]))
-    # 100 steps of rounding errors of 1e-16, which an adaptation gain of 10^4 multiplies at most
-    assert np.all(np.abs(recompiled - expected) <= 1e-11 * np.abs(expected).max(axis=0))
+    # 100 steps of rounding errors of 1e-16
+    assert np.all(np.abs(recompiled - expected) <= 1e-13 * np.abs(expected).max(axis=0))
     assert np.abs(expected).max() > 0
 
 
