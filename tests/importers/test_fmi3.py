@@ -45,12 +45,13 @@ def of_scalars(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return _built(session_folder(tmp_path_factory, "scalars"), scalars=True)
 
 
-def _built(folder: Path, **options: bool) -> dict[str, Path]:
+def _built(folder: Path, scalars: bool = False) -> dict[str, Path]:
     """FMUs of FMI 3.0 by block."""
-    blocks = {name: builder.load_block(name) for name in NAMES}
-    return dict(
-        LazyFmus(NAMES, folder, lambda name, at: builder.build_block(blocks[name], at, fmi=3, **options))
-    )
+
+    def build(name: str, where: Path) -> Path:
+        return builder.build_block(builder.load_block(name), where, fmi=3, scalars=scalars)
+
+    return dict(LazyFmus(NAMES, folder, build))
 
 
 EXPERIMENT = Experiment(stop_time=STEPS * STEP, step_size=STEP, record=(OUTPUT,), open_inputs="start")
