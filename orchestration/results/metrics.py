@@ -543,7 +543,8 @@ def total_variation(
     inside = _window(recording, window)
     time, values = recording.time[inside], recording[signal][..., inside]
     if every is not None:
-        count = round((time[-1] - time[0]) / every)
+        # the last interval may be a part of one
+        count = math.ceil((time[-1] - time[0]) / every - 1e-6)
         sampling_times = time[0] + every * np.arange(count + 1)
         indices = np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)
         # in C order, unlike values[..., indices]: sums then have the bits of each run alone

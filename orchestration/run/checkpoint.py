@@ -253,8 +253,10 @@ class Checkpoints:
         progress : callable, optional
             See `Run.advance`.
         """
+        # a shorter interval would lead to the point where the run is
+        every = max(self.every, 2.0 * run.prepared.experiment.time_resolution())
         while True:
-            run.advance(run.time + self.every, progress)
+            run.advance(run.time + every, progress)
             if run.is_done:
                 return
             self.save(run)

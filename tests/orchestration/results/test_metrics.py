@@ -153,6 +153,8 @@ def test_total_variation_can_be_sampled() -> None:
     assert metrics.total_variation(run, "z") == pytest.approx(400.0)
     assert metrics.total_variation(run, "z", every=0.5) == pytest.approx(0.0, abs=1e-9)
     assert metrics.total_variation(run, "z", every=0.25) == pytest.approx(400.0)
+    # the last interval is a part of one
+    assert metrics.total_variation(recording(z=TIME), "z", every=0.3 * TIME[-1]) == pytest.approx(TIME[-1])
 
 
 def test_unknown_names_offer_the_nearest() -> None:

@@ -155,6 +155,14 @@ def test_checkpoints_are_as_far_apart_as_asked_wherever_time_begins(
     checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.25)
     simulate(coupled(linear, **RESUMABLE), Experiment(start + 3.0, 0.125, start), checkpoints=checkpoints)
     assert times == [start + 1.25, start + 2.5]
+    # an interval that is lost in the rounding of a time is a step
+    times.clear()
+    simulate(
+        coupled(linear, **RESUMABLE),
+        Experiment(start + 0.5, 0.125, start),
+        checkpoints=Checkpoints(tmp_path / "checkpoint", every=1e-12),
+    )
+    assert times == [start + 0.125, start + 0.25, start + 0.375]
 
 
 @pytest.mark.parametrize("saved", ["into a folder", "of an FMU that refuses its state"])
