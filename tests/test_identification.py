@@ -384,12 +384,12 @@ def test_a_point_counts_by_its_density() -> None:
 
 @pytest.mark.slow
 def test_few_draws_predict_what_the_document_predicts(exact: Any) -> None:
-    """The reading has settling times within 2 s, from about 25 draws in place of 326."""
+    """The reading has settling times within 2 s, from about 10 draws in place of 326."""
     variant = posterior.VARIANTS[1]
-    effort = posterior.Effort(pilot=250, draws=500, enough=20.0)
+    effort = posterior.Effort(pilot=200, draws=250, enough=10.0)
     told = summary.summary(posterior.posterior(exact, variant, effort))
     expected = DOCUMENT["variants"][variant.name]["all"]
     for name, (least, low, _, high, largest) in told["all"].items():
         median = expected[name][2]
-        # a median of 25 draws lies between the 20th and the 80th of 100 shares but four times in a thousand
+        # a median of 10 draws lies between the 20th and the 80th of 100 shares but twice in a hundred
         assert least <= low <= median <= high <= largest, name
