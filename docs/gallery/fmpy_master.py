@@ -1,7 +1,7 @@
 # %% [markdown]
 # # The paper's loop on FMPy alone
 #
-# A master algorithm in forty lines: at each communication point outputs go to inputs, then both FMUs step.
+# A master algorithm in fifty lines: at each communication point outputs go to inputs, then both FMUs step.
 # It imports nothing of this project; `l1-depth build L1DepthController RovDepthPlant` writes the FMUs.
 
 # %%

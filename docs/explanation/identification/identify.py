@@ -1,7 +1,7 @@
 """The gains that ship: fitted to the nominal row, Table 1 of Maalouf et al. (2013), which publishes none.
 
     l1-depth build --cache
-    python docs/explanation/identification/identify.py --seed 2 --out identified.toml
+    python docs/explanation/identification/identify.py --out identified.toml
 
 Least squares on settling time and RMSE of plain and extended L1, each residual in units of its tolerance,
 with overshoot above 1 % as a penalty. The gains are searched in their logarithms, between limits, from the
