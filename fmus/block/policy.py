@@ -181,7 +181,7 @@ def _named(cls: type, role: str, known: Mapping[str, str]) -> dict[str, str | No
             )
         if name not in known and not isinstance(given, Mapping):
             raise ExportError(
-                f"{where}: {name!r} is not in the depth control interface; {nearest(name, known)}; "
+                f"{where}: {name!r} is not a name that a tuple takes; {nearest(name, known)}; "
                 "a dictionary {name: unit} may have others"
             )
     return {name: given[name] if isinstance(given, Mapping) else known[name] for name in given}
