@@ -31,7 +31,7 @@ def fmu(request: pytest.FixtureRequest, either: dict[str, Path]) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", KINDS)
 def test_fmpy_finds_no_problem_in_the_python_flavour(python_built: Fmus, name: str) -> None:
     """Its model description is written by the same function."""
     assert validate_fmu(str(python_built[name])) == []

@@ -454,7 +454,7 @@ def serialized(traced: Traced) -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    slow_but(("ThrustAllocation",), ("ThrustAllocation", "L1Controller", "PidDepthController")),
+    ["ThrustAllocation", "PidDepthController"],
 )
 def test_a_wrong_branch_of_the_traced_form_is_refused(name: str) -> None:
     block, accepted = builder.load_block(name), []

@@ -28,7 +28,7 @@ from fmus.registry import Flavour
 from orchestration import System, simulate
 from tests.described_fmus import XML, members
 from tests.orchestration.runs import assert_same_bits
-from tests.shared_builds import Fmus, slow_but
+from tests.shared_builds import KINDS, Fmus, slow_but
 
 from .blocks import EVERYTHING, Mode, block_named, in_fmi3
 from .exchanged import BALL, TANK, Exchanged
@@ -38,7 +38,7 @@ NAMES = in_fmi3(builder.block_names())
 Open = Callable[..., Fmi3Instance]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", in_fmi3(KINDS))
 def test_trajectories_are_those_of_fmi_2_bit_for_bit(
     built: Fmus, load: Any, open_fmi3: Open, name: str
 ) -> None:
@@ -155,7 +155,7 @@ def test_scalars_have_derivatives_of_their_own(of_scalars: dict[str, Path], tmp_
     assert dependencies["state[1]"] == {"state.x[1]"}
 
 
-@pytest.mark.parametrize("name", slow_but(WITH_EVENTS[:1], [*builder.block_names(), *WITH_EVENTS]))
+@pytest.mark.parametrize("name", slow_but(WITH_EVENTS[:1], [*KINDS, *WITH_EVENTS]))
 def test_they_break_no_rule(fmi3_built: Fmus, name: str) -> None:
     assert [r.messages for r in examine(fmi3_built[name]) if r.messages] == []
 
