@@ -16,7 +16,7 @@
 #include <xmmintrin.h>
 #endif
 
-enum { TEXT_SIZE = 256, EXIT_STATUS = 70, MOST_RUNS = 256, LONGEST_WAIT_MS = 1000 };
+enum { TEXT_SIZE = 256, EXIT_STATUS = 70, MOST_RUNS = 256, LONGEST_WAIT_MS = 5000 };
 
 /* Runs stand in a table: the address of the report, 0 if there is none, and that of a text for each component. It is
    here, since it is read when Python's memory is gone. */
