@@ -60,10 +60,6 @@ MUTANTS = {
         3, "fmi3.c", "r < FIRST[from[i] + 1]; r++) along", "r <= FIRST[from[i] + 1]; r++) along",
         "GetDirectionalDerivative",
     ),
-    "a known that is not checked": (
-        3, "fmi3.c", "if (!are_elements(instance, IS_INITIALIZED, REAL, to,",
-        "if (0 && !are_elements(instance, IS_INITIALIZED, REAL, to,", "GetAdjointDerivative",
-    ),
     "derivatives that do not fit": (
         2, "derivatives.h", "result[N_SEEDS]", "result[N_VALUES]", "GetDirectionalDerivative",
     ),

@@ -17,7 +17,6 @@ import pytest
 from fmus import numerics as n
 from fmus.block import Block, variable
 from fmus.errors import MissingExtraError
-from fmus.registry import block_names
 from orchestration import Ensemble, Experiment, Simulator, System, load_scenario, run_many
 from orchestration.errors import EnsembleError, SystemDefinitionError
 from orchestration.many import job
@@ -30,6 +29,7 @@ from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep
 from tests.orchestration.many.instances import assert_same_bits, built_for_ensembles, instances
 from tests.orchestration.places.host_device import HostDevice
+from tests.shared_builds import KINDS
 
 Numbers = Sequence[Any]
 Term = Callable[[Numbers], Any]
@@ -283,9 +283,9 @@ def test_a_kernel_is_launched_with_a_thread_for_each_instance(monkeypatch: pytes
 
 
 @pytest.mark.slow
-def test_the_compiler_of_gpus_takes_every_shipped_block(built: Mapping[str, Path]) -> None:
+def test_the_compiler_of_gpus_takes_blocks_of_each_kind(built: Mapping[str, Path]) -> None:
     """NVRTC compiles for a virtual architecture without a GPU; our options are those of `Gpu`."""
-    text = gpu.program([built[name] for name in block_names()])
+    text = gpu.program([built[name] for name in KINDS])
     code = nvrtc(text, [*gpu.OPTIONS, "--gpu-architecture=compute_80"])
     for name in gpu.KERNELS:
         assert f".entry ensemble_{name}_all" in code
