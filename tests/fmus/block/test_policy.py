@@ -186,7 +186,7 @@ def changed(**members: Any) -> type:
         ({"reset": None}, r"Policy: expected a method reset\(self\)"),
         ({"step": 3}, r"Policy: expected a method step\(self, time, inputs\)"),
         ({"inputs": "measured_depth"}, r"Policy.inputs = 'measured_depth': expected a tuple of names"),
-        ({"inputs": ("measured_deph",)}, "'measured_deph' is not in .* nearest is 'measured_depth'"),
+        ({"inputs": ("measured_deph",)}, "'measured_deph' is not a name .* nearest is 'measured_depth'"),
         ({"outputs": ()}, "Policy.outputs: expected one output at least"),
         ({"outputs": {"a b": "V"}}, "'a b': expected a name of letters"),
         ({"inputs": ("roll",), "roll": 1.0}, "'roll' twice among"),
