@@ -389,7 +389,9 @@ def test_few_draws_predict_what_the_document_predicts(exact: Any) -> None:
     effort = posterior.Effort(pilot=200, draws=250, enough=10.0)
     told = summary.summary(posterior.posterior(exact, variant, effort))
     expected = DOCUMENT["variants"][variant.name]["all"]
-    for name, (least, low, _, high, largest) in told["all"].items():
-        median = expected[name][2]
-        # a median of 10 draws lies between the 20th and the 80th of 100 shares but twice in a hundred
+    for name, (least, low, middle, high, largest) in told["all"].items():
+        _, expected_low, median, expected_high, _ = expected[name]
+        # ten draws all lie on one side of a median twice in a thousand: 2 / 2^10
         assert least <= low <= median <= high <= largest, name
+        # half of them lie in a tail of 2.5 % hardly ever: 252 x 0.025^5 = 2e-6
+        assert expected_low <= middle <= expected_high, name

@@ -82,8 +82,8 @@ def test_without_a_satellite_all_else_is_imported_and_its_commands_are_gone(
 
 
 @pytest.mark.slow
-def test_without_any_satellite_the_tests_of_the_core_pass(tmp_path: Path) -> None:
-    """Those of systems and their run, which import the most; the test above imports each module."""
+def test_without_any_satellite_the_tests_of_the_master_pass(tmp_path: Path) -> None:
+    """Those of systems and their runs; the test above imports each module without one satellite."""
     copy = copied_without(SATELLITES, tmp_path)
     python(copy, "-m", "pytest", "-q", "-n", "2", "tests/orchestration/run", "tests/orchestration/system")
 

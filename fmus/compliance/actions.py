@@ -388,7 +388,7 @@ def steps_of_experiment(probe: Probe) -> int:
         budget = min(_LONGEST_RUN_S / part, probe.process.limit / 10)
         count = int(budget * first / script.cpu_time)
         if _ALWAYS_STEPS * script.cpu_time < _ALWAYS_S * first:
-            # so a short experiment has the same findings on any processor
+            # so what is found in a short experiment depends less on the processor
             count = max(count, _ALWAYS_STEPS)
         return min(steps, _MOST_STEPS // part, max(first, count))
 

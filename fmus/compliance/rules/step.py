@@ -170,7 +170,7 @@ def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("2.2.5, 4.1.1")
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
-    """The steps of DefaultExperiment succeed up to its stop time, or for about a second of CPU time."""
+    """The steps of DefaultExperiment succeed up to its stop time, or up to a limit of CPU time."""
     if not probe.states_step_size or not math.isfinite(probe.stop_time):
         raise NotApplicableError("no stop time and step size are stated")
     failure = do.over_the_experiment(probe).failure

@@ -21,7 +21,7 @@ from fmus.native import toolchain
 from tests.described_fmus import members
 from tests.shared_builds import KINDS, Fmus, c_sources_of
 
-REBUILT = ("DepthReference", "ExamplePlant")  # with inputs of every type, and with states
+REBUILT = ("DepthReference", "ExamplePlant")  # without inputs, and with inputs and continuous states
 # block and version of FMI: the layer of FMI 3.0 is around the same code of a block
 SOURCES = [*((kind, 2) for kind in KINDS), ("ExamplePlant", 3)]
 OTHER_TARGETS = ["x86_64-windows-gnu", "aarch64-macos"]

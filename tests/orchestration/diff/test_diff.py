@@ -308,7 +308,7 @@ def test_the_speed_is_the_ratio_of_the_new_one_to_the_old_one(built: Fmus, tmp_p
     plant = built["ExamplePlant"]
     (step,) = (float(v.start or 0) for v in describe(plant).modelVariables if v.name == "internal_step")
     slow = build_started(plant, {"internal_step": step / 60.0}, tmp_path)
-    # 7 here: a call, and reading the clock, take time whatever the internal step is
+    # 4 here: a call, and reading the clock, take time whatever the internal step is
     assert float(speed(plant, slow, 30.0).split()[3]) > 2.0
     assert float(speed(slow, plant, 30.0).split()[3]) < 0.5
 
