@@ -192,8 +192,8 @@ def test_a_mechanism_has_the_figures_and_the_cost_of_the_document(exact: Any, na
     # values have four digits; a settling time changes in steps of 0.02 s, 0.04 of its deviation
     assert cost == pytest.approx(min(one["costs"]), rel=0.02, abs=0.2)
     best = max(DOCUMENT["mechanisms"].values(), key=lambda other: other["log_evidence"])
-    is_explained = "nothing else" not in name
-    assert (best["log_evidence"] - one["log_evidence"] < 2.0) == is_explained
+    behind = best["log_evidence"] - one["log_evidence"]
+    assert behind > 25.0 if "nothing else" in name else behind < 2.0
 
 
 @pytest.mark.slow
